@@ -1,0 +1,30 @@
+"""Sparse times dense, in parallel: scipy's product runs on one core and was the largest part of a step."""
+
+import numpy as np
+from numba import njit, prange
+
+
+@njit(cache=True, parallel=True)
+def per_axis_times(indptr, indices, data, columns):
+    rows = len(indptr) - 1
+    product = np.zeros((rows, columns.shape[1]))
+    for i in prange(rows):
+        for k in range(indptr[i], indptr[i + 1]):
+            weight, source = data[k], columns[indices[k]]
+            for c in range(columns.shape[1]):
+                product[i, c] += weight * source[c]
+    return product
+
+
+@njit(cache=True, parallel=True)
+def blocks_times(indptr, indices, blocks, columns):
+    rows = len(indptr) - 1
+    product = np.zeros((3 * rows, columns.shape[1]))
+    for i in prange(rows):
+        for k in range(indptr[i], indptr[i + 1]):
+            j = 3 * indices[k]
+            for a in range(3):
+                x, y, z = blocks[k, a, 0], blocks[k, a, 1], blocks[k, a, 2]
+                for c in range(columns.shape[1]):
+                    product[3 * i + a, c] += x * columns[j, c] + y * columns[j + 1, c] + z * columns[j + 2, c]
+    return product

@@ -1,0 +1,173 @@
+"""The contract between squared terms and solvers.
+
+A problem has a short dense vector of parameters and, if need be, a long *free field* of points whose
+curvature is sparse. Fields that follow from the parameters (posed vertices, joints) are *derived*: terms
+speak about fields, and the problem pulls their quadratics back to the parameters once, after all terms have
+been added up. The cost of a step thus does not grow with (residuals x parameters).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float
+
+from corporeal.solve.curvature import Curvature, PerAxisCurvature
+from corporeal.solve.systems import ArrowSystem, DenseSystem, NormalSystem
+
+Fields = Mapping[str, np.ndarray]
+PARAMETERS = "parameters"
+
+
+@dataclass(frozen=True, eq=False)
+class Quadratic:
+    """Second-order model of one term: cost + gradient . d + d . curvature . d / 2, per field.
+
+    Attributes:
+        gradient: field name -> array of the field's shape.
+        curvature: pair of field names -> Gauss-Newton curvature between them; a pair of different names
+            stands once and its transpose is understood.
+    """
+
+    gradient: Mapping[str, np.ndarray]
+    curvature: Mapping[tuple[str, str], Curvature]
+
+
+class TermValue(Protocol):
+    """A term at one point; what the cost needed (closest points, say) is kept for the quadratic."""
+
+    cost: float
+
+    def quadratic(self) -> Quadratic:
+        """The local quadratic."""
+        ...
+
+
+class Term(Protocol):
+    """A squared term. Its weight is 1 / sigma^2 with a sigma that has a unit."""
+
+    name: str
+
+    def at(self, fields: Fields) -> TermValue:
+        """Evaluate at the given fields; metres, radians and unit-variance coefficients."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """A point of the search space: parameters (Q,) and the free field (n, 3), or None."""
+
+    parameters: Float[np.ndarray, " Q"]
+    free: Float[np.ndarray, "n 3"] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """All terms at one state, with the cost split by term."""
+
+    state: State
+    values: Mapping[str, TermValue]
+
+    @property
+    def cost(self) -> float:
+        """Sum of the terms' costs."""
+        return float(sum(value.cost for value in self.values.values()))
+
+    @property
+    def costs(self) -> dict[str, float]:
+        """Cost by term."""
+        return {name: float(value.cost) for name, value in self.values.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Terms over parameters, derived fields and at most one free field.
+
+    Attributes:
+        terms: the squared terms; names must differ.
+        derive: parameters (Q,) -> values of the derived fields, each (n, 3).
+        differentiate: parameters (Q,) -> Jacobians of the derived fields, each (n, 3, Q).
+        free_field: name of the free field, or None.
+    """
+
+    terms: Sequence[Term]
+    derive: Callable[[np.ndarray], Fields] = field(default=lambda _: {})
+    differentiate: Callable[[np.ndarray], Fields] = field(default=lambda _: {})
+    free_field: str | None = None
+
+    def __post_init__(self) -> None:
+        names = [term.name for term in self.terms]
+        if len(set(names)) != len(names):
+            raise ValueError(f"terms: names must differ, got {names}")
+
+    def fields(self, state: State) -> Fields:
+        """Parameters, derived fields and the free field by name."""
+        fields = {PARAMETERS: state.parameters, **self.derive(state.parameters)}
+        if self.free_field is not None:
+            if state.free is None:
+                raise ValueError(f"state: the free field {self.free_field!r} has no value")
+            fields[self.free_field] = state.free
+        return fields
+
+    def evaluate(self, state: State) -> Evaluation:
+        """Cost of every term at a state."""
+        fields = self.fields(state)
+        return Evaluation(state, {term.name: term.at(fields) for term in self.terms})
+
+    def normal_system(self, evaluation: Evaluation) -> NormalSystem:
+        """Gauss-Newton system of all terms, derived fields pulled back to the parameters."""
+        state = evaluation.state
+        gradient, curvature = _sum_quadratics([value.quadratic() for value in evaluation.values.values()])
+        jacobians = {
+            name: jacobian.reshape(-1, state.parameters.size)
+            for name, jacobian in self.differentiate(state.parameters).items()
+        }
+        size = state.parameters.size
+        H, g = np.zeros((size, size)), np.zeros(size)
+        cross: np.ndarray | None = None
+        for name, slope in gradient.items():
+            if name == PARAMETERS:
+                g += slope
+            elif name != self.free_field:
+                g += jacobians[name].T @ slope.ravel()
+        for (a, b), block in curvature.items():
+            if self.free_field not in (a, b):
+                H += _pulled_back(block, jacobians.get(a), jacobians.get(b), symmetric=a == b)
+            elif a != b:
+                other = jacobians[b if a == self.free_field else a]
+                part = block.times(other) if a == self.free_field else block.transposed_times(other)
+                cross = part if cross is None else cross + part
+        if self.free_field is None:
+            return DenseSystem(H, g)
+        sparse = curvature[self.free_field, self.free_field]
+        if not isinstance(sparse, PerAxisCurvature):
+            raise TypeError("free field: its own curvature must be the same for x, y and z")
+        free_gradient = gradient[self.free_field]
+        if cross is None:
+            cross = np.zeros((free_gradient.size, size))
+        return ArrowSystem(sparse.matrix, cross, H, free_gradient, g)
+
+
+def _sum_quadratics(
+    quadratics: Sequence[Quadratic],
+) -> tuple[dict[str, np.ndarray], dict[tuple[str, str], Curvature]]:
+    gradient: dict[str, np.ndarray] = {}
+    curvature: dict[tuple[str, str], Curvature] = {}
+    for quadratic in quadratics:
+        for name, slope in quadratic.gradient.items():
+            gradient[name] = gradient[name] + slope if name in gradient else slope
+        for pair, block in quadratic.curvature.items():
+            curvature[pair] = curvature[pair].plus(block) if pair in curvature else block
+    return gradient, curvature
+
+
+def _pulled_back(
+    block: Curvature, left: np.ndarray | None, right: np.ndarray | None, *, symmetric: bool
+) -> np.ndarray:
+    """LeftT block right; a missing Jacobian is the identity (the field is the parameters themselves)."""
+    product = block.dense() if right is None else block.times(right)
+    product = product if left is None else left.T @ product
+    return product if symmetric else product + product.T
