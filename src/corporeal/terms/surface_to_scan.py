@@ -1,0 +1,94 @@
+"""Surface vertices to the scan: the term E_g' of Romero et al. 2017, equation 15.
+
+It keeps the model from reaching where nothing was seen (fingers too long), and harms where the scan has
+holes: vertices whose closest scan point lies on the edge of a hole are therefore not matched.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from corporeal.geometry.closest_points import SurfaceTree
+from corporeal.geometry.normals import vertex_normals
+from corporeal.solve.curvature import Curvature
+from corporeal.solve.problem import Fields, Quadratic
+from corporeal.terms.distance import DistanceOptions, WeightedDistances
+from corporeal.terms.scan_to_surface import MovingSurface
+
+
+@dataclass(frozen=True, eq=False)
+class ScanSurface:
+    """A fixed scan surface to measure against.
+
+    Attributes:
+        tree: search tree of its triangles.
+        normals: (M, 3) unit normals of its faces.
+        boundary_sides: (M, 3) which sides of its faces are open.
+    """
+
+    tree: SurfaceTree
+    normals: Float[np.ndarray, "M 3"]
+    boundary_sides: Bool[np.ndarray, "M 3"]
+
+
+@dataclass(eq=False)
+class SurfaceToScan:
+    """Squared robust distances of surface vertices to a scan.
+
+    Attributes:
+        name: of the term.
+        field: the field (V, 3) that holds the vertices, metres.
+        surface: the moving surface's topology.
+        scan: the fixed scan.
+        weights: (V,) base weights; zero leaves a vertex out.
+        options: sigma, robust scale, curvature.
+    """
+
+    name: str
+    field: str
+    surface: MovingSurface
+    scan: ScanSurface
+    weights: Float[np.ndarray, " V"]
+    options: DistanceOptions
+    _last_faces: np.ndarray | None = None
+
+    def at(self, fields: Fields) -> SurfaceToScanValue:
+        """Find closest scan points; the faces found start the next search."""
+        vertices = fields[self.field]
+        closest = self.scan.tree.closest(vertices, self._last_faces)
+        self._last_faces = closest.faces
+        own = vertex_normals(vertices, self.surface.faces)
+        normals = self.scan.normals[closest.faces]
+        on_edge = ((closest.barycentric < 1e-9) & self.scan.boundary_sides[closest.faces]).any(axis=1)
+        matched = ~on_edge & (np.einsum("na,na->n", own, normals) >= self.options.minimum_cosine)
+        offsets = vertices - closest.points
+        distances = WeightedDistances.of(offsets, self.weights, matched, self.options)
+        return SurfaceToScanValue(self, distances, normals)
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceToScanValue:
+    """The term at one surface."""
+
+    term: SurfaceToScan
+    distances: WeightedDistances
+    scan_normals: Float[np.ndarray, "V 3"]
+
+    @property
+    def cost(self) -> float:
+        """Half the sum of weighted robust squared distances, in units of sigma squared."""
+        return self.distances.cost
+
+    def quadratic(self) -> Quadratic:
+        """Gradient of the distance itself; curvature with the closest points held fixed."""
+        field, pattern = self.term.field, self.term.surface.pattern
+        gradient = self.distances.weights[:, None] * self.distances.offsets
+        curvature: Curvature
+        if self.distances.is_per_axis:
+            curvature = pattern.diagonal(self.distances.weights)
+        else:
+            curvature = pattern.diagonal_blocks(self.distances.metric(self.scan_normals))
+        return Quadratic({field: gradient}, {(field, field): curvature})
