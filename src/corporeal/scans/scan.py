@@ -39,7 +39,7 @@ class Scan:
         name: what results are called after; the stem of the file's name.
         points: (N, 3) metres, finite.
         faces: (M, 3) indices of points, counter-clockwise from outside; M = 0 for a point cloud.
-        normals: (N, 3) outward; of unit length, or zero where a point has none (it lies on no face with area).
+        normals: (N, 3) outward, of unit length; zero for a point that lies on no face with an area.
         colours: (N, 3) red, green, blue, 8 bit; or None.
         unit: the unit of the file, or the estimate of it.
         source: name of the file that was read.
