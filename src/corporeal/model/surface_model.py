@@ -174,10 +174,10 @@ class SurfaceModel:
 
     def __call__(
         self,
-        shape: Float[Tensor, "B s"] | None,
+        shape: Float[Tensor, "Bs s"] | None,
         pose: Pose,
-        expression: Float[Tensor, "B e"] | None = None,
-        translation: Float[Tensor, "B 3"] | None = None,
+        expression: Float[Tensor, "Be e"] | None = None,
+        translation: Float[Tensor, "Bt 3"] | None = None,
         *,
         correctives: bool = True,
     ) -> PosedSurface:
