@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from corporeal.model.forward import ModelTensors, PosedSurface, posed_surface
+from corporeal.model.kernel_arrays import KernelArrays
 from corporeal.model.landmarks import LandmarkSet
 from corporeal.model.pose import FullPose, Pose
 from corporeal.model.statistics import PoseBlock
@@ -127,6 +128,18 @@ class SurfaceModel:
     @cached_property
     def _tensor_cache(self) -> dict[tuple[torch.dtype, torch.device], ModelTensors]:
         return {}
+
+    @cached_property
+    def kernel_arrays(self) -> KernelArrays:
+        """The model's arrays for the float64 kernels of evaluation and Jacobian, made once and kept."""
+        return KernelArrays.of_fields(
+            template=self.template,
+            directions=np.concatenate([self.shape_directions, self.expression_directions], axis=2),
+            pose_directions=self.pose_directions,
+            joint_regressor=self.joint_regressor,
+            skinning_weights=self.skinning_weights,
+            parents=self.parents,
+        )
 
     def tensors(self, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu") -> ModelTensors:
         """The model's arrays as tensors of one dtype on one device, made once and kept."""
