@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TypeVar
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from corporeal.geometry import rotations
-from corporeal.model.pose import CoefficientPose, FullPose
+from corporeal.model.pose import CoefficientPose, FullPose, Pose
 from corporeal.model.surface_model import SurfaceModel
-
-AnyPose = TypeVar("AnyPose", FullPose, CoefficientPose)
 
 _FROM_MATRIX = {
     "axis_angle": rotations.axis_angle_from_matrix,
@@ -39,9 +35,9 @@ def rest_root(
 
 def apply_rigid(
     model: SurfaceModel, R: Float[Tensor, "*r 3 3"], t: Float[Tensor, "*t 3"],
-    shape: Float[Tensor, "b s"] | None, pose: AnyPose, translation: Float[Tensor, "T 3"] | None,
+    shape: Float[Tensor, "b s"] | None, pose: Pose, translation: Float[Tensor, "T 3"] | None,
     expression: Float[Tensor, "c e"] | None = None,
-) -> tuple[AnyPose, Float[Tensor, "B 3"]]:  # fmt: skip
+) -> tuple[Pose, Float[Tensor, "B 3"]]:  # fmt: skip
     """Parameters of the surface that is moved by x -> R x + t.
 
     The root turns about its own rest joint j, which lies far from the origin and depends on the shape.
