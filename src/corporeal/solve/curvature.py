@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import scipy.sparse as sp
@@ -12,6 +12,7 @@ from jaxtyping import Float
 from corporeal.solve.curvature_kernels import blocks_times, per_axis_times
 
 
+@runtime_checkable
 class Curvature(Protocol):
     """A linear map between two fields, applied to the rows of a Jacobian."""
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -36,6 +36,7 @@ class Quadratic:
     curvature: Mapping[tuple[str, str], Curvature]
 
 
+@runtime_checkable
 class TermValue(Protocol):
     """A term at one point; what the cost needed (closest points, say) is kept for the quadratic."""
 
@@ -46,6 +47,7 @@ class TermValue(Protocol):
         ...
 
 
+@runtime_checkable
 class Term(Protocol):
     """A squared term. Its weight is 1 / sigma^2 with a sigma that has a unit."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import scipy.linalg
@@ -19,6 +19,7 @@ class SingularSystemError(ArithmeticError):
     """The normal equations have no unique solution: a parameter is neither observed nor has a prior."""
 
 
+@runtime_checkable
 class NormalSystem(Protocol):
     """Gradient and curvature at a point; vectors hold the parameters first, then the free field."""
 

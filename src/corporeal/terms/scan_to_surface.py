@@ -24,7 +24,8 @@ class MovingSurface:
         self.faces = np.asarray(faces, dtype=np.int64)
         self.tree = SurfaceTree(vertices, self.faces)
         self.pattern = MeshPattern(self.faces, len(vertices))
-        self._on_boundary = _boundary_sides(self.faces)
+        self.boundary = boundary_edges(self.faces)
+        self._on_boundary = open_sides(self.faces, self.boundary)
 
     def closest(
         self, vertices: Float[np.ndarray, "V 3"], points: Float[np.ndarray, "n 3"], start: np.ndarray | None
@@ -106,9 +107,9 @@ class ScanToSurfaceValue:
         return Quadratic({field: gradient}, {(field, field): self._curvature})
 
 
-def _boundary_sides(faces: np.ndarray) -> Bool[np.ndarray, "F 3"]:
+def open_sides(faces: Int[np.ndarray, "F 3"], boundary: Int[np.ndarray, "E 2"]) -> Bool[np.ndarray, "F 3"]:
     """For every face and corner: is the side opposite that corner an open boundary of the mesh?"""
-    open_edges = np.sort(boundary_edges(faces), axis=1)
+    open_edges = np.sort(boundary, axis=1)
     size = int(faces.max()) + 1 if len(faces) else 1
     keys = open_edges[:, 0] * size + open_edges[:, 1]
     sides = np.empty((len(faces), 3), dtype=bool)

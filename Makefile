@@ -1,0 +1,57 @@
+# The README's two commands are `make demo` and `make test`. Everything happens in .venv*; nothing else is touched.
+PYTHON ?= python3
+VENV := .venv
+VENV2 := .venv-numpy2
+BIN := $(VENV)/bin
+OUT ?= demo-out
+SCAN ?= assets/demo/scan.ply
+PIP_INSTALL := pip install --quiet --disable-pip-version-check -c constraints.txt
+export OMP_WAIT_POLICY := PASSIVE
+
+.PHONY: demo test bench lint assets clean numpy2
+
+demo: $(VENV)/.demo
+	$(BIN)/corporeal register $(SCAN) -o $(OUT) --json $(OUT)/result.json
+	@echo "Results are in $(OUT)/: open overview.png for a look, hand.glb in any glTF viewer."
+
+test: lint
+	$(BIN)/python -m pytest -q
+	$(MAKE) --no-print-directory numpy2
+
+# The detector's wheel holds numpy at 1.26; without it the newest numpy is used, and must work as well.
+numpy2: $(VENV2)/.test
+	$(VENV2)/bin/python -m pytest -q tests/geometry tests/solve tests/terms tests/scans tests/model/test_open_hand.py tests/registration
+
+lint: $(VENV)/.test
+	$(BIN)/ruff format --check src tests benchmarks examples assets
+	$(BIN)/ruff check src tests benchmarks examples assets
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: $(VENV)/.test
+	$(BIN)/python benchmarks/skinning.py
+	$(BIN)/python benchmarks/closest_points.py
+	$(BIN)/python benchmarks/registration.py
+
+assets:
+	$(PYTHON) -m venv .venv-assets
+	.venv-assets/bin/$(PIP_INSTALL) -e '.[assets]'
+	.venv-assets/bin/python assets/build.py
+
+$(VENV)/.demo: pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/$(PIP_INSTALL) -e '.[detect]'
+	touch $@
+
+$(VENV)/.test: pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/$(PIP_INSTALL) -e '.[detect,test]'
+	touch $(VENV)/.demo $@
+
+$(VENV2)/.test: pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV2)
+	$(VENV2)/bin/$(PIP_INSTALL) -e '.[test]'
+	touch $@
+
+clean:
+	rm -rf $(VENV) $(VENV2) .venv-assets demo-out build dist

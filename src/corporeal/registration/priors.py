@@ -1,0 +1,53 @@
+"""The prior terms of a model's parameters: shape, pose and anatomical limits."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from corporeal.model.jacobian import ParameterColumns
+from corporeal.model.statistics import PoseBlock
+from corporeal.model.surface_model import SurfaceModel
+from corporeal.solve.problem import Term
+from corporeal.terms.gaussian_prior import GaussianPrior
+from corporeal.terms.pose_limits import PoseLimits
+from corporeal.terms.pose_mixture import MixturePrior
+
+# A direction in which the recorded poses hardly vary is not forbidden: 3 degrees about it stay cheap.
+_FLOOR = np.deg2rad(3.0)
+# Where nothing is known of a joint, half a radian is one standard deviation.
+_UNKNOWN = 0.5
+
+
+def prior_terms(
+    model: SurfaceModel, columns: ParameterColumns, *, pose_prior_scale: float, limit_sigma: float
+) -> list[Term]:
+    """Unit-variance shape prior; per pose block its mixture, Gaussian or a weak pull to zero; limits."""
+    shape_size = columns.shape.stop - columns.shape.start
+    terms: list[Term] = [GaussianPrior.isotropic("shape prior", columns.shape, np.zeros(shape_size), 1.0)]
+    for block in model.pose_blocks:
+        where = _columns_of(block, columns)
+        terms.append(_pose_prior(block, where, pose_prior_scale))
+        if block.limits is not None:
+            terms.append(PoseLimits(f"{block.name} limits", where, block.limits, limit_sigma))
+    return terms
+
+
+def _pose_prior(block: PoseBlock, where: slice, scale: float) -> Term:
+    name = f"{block.name} prior"
+    if block.mixture is not None:
+        mixture = block.mixture
+        widened = mixture.covariances + _FLOOR**2 * np.eye(len(block.mean))
+        return MixturePrior(name, where, mixture.weights, mixture.means, widened, sigma_scale=scale)
+    if len(block.components):
+        spread = block.components * block.component_deviations[:, None]
+        covariance = spread.T @ spread + _FLOOR**2 * np.eye(len(block.mean))
+        return GaussianPrior(name, where, block.mean, np.linalg.inv(covariance) / scale**2)
+    return GaussianPrior.isotropic(name, where, block.mean, scale * _UNKNOWN)
+
+
+def _columns_of(block: PoseBlock, columns: ParameterColumns) -> slice:
+    joints = np.asarray(block.joints)
+    if not np.array_equal(joints, np.arange(joints[0], joints[0] + len(joints))):
+        raise ValueError(f"pose block {block.name!r}: its joints must follow one another to be solved for")
+    start = columns.pose.start + 3 * int(joints[0])
+    return slice(start, start + 3 * len(joints))

@@ -1,0 +1,138 @@
+"""The stages of a registration, each a problem of terms solved by dogleg."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from corporeal.geometry.topology import unique_edges
+from corporeal.model.landmarks import LandmarkSet
+from corporeal.model.surface_model import SurfaceModel
+from corporeal.registration.measures import beyond_cut
+from corporeal.registration.options import FreeStage, LandmarkStage, RegistrationOptions, SurfaceStage
+from corporeal.registration.priors import prior_terms
+from corporeal.registration.target import SampledPoints, Target
+from corporeal.solve.dogleg import DoglegOptions, Solution, solve
+from corporeal.solve.problem import Problem, State, Term
+from corporeal.terms.coupling import EdgeCoupling
+from corporeal.terms.distance import DistanceOptions
+from corporeal.terms.landmarks import LandmarkDistances
+from corporeal.terms.model_fields import LANDMARKS, MODEL, ModelFields
+from corporeal.terms.scan_to_surface import MovingSurface, ScanToSurface
+from corporeal.terms.surface_to_scan import SurfaceToScan
+
+FREE = "free"
+# Points this far before the wrist plane still help to place the wrist; farther ones are arm.
+_ARM_MARGIN = 0.01
+# Curvature along the surface in the model-only stages. Measured on the real scans: 0.1 needs a third of the
+# steps of point-to-point; 0 lets a nearly round finger turn about itself.
+_TANGENTIAL = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredLandmarks:
+    """Landmarks of a scan: the model's set, positions (N, 3) in metres, and relative sigmas (N,)."""
+
+    landmark_set: LandmarkSet
+    positions: Float[np.ndarray, "N 3"]
+    relative_sigmas: Float[np.ndarray, " N"]
+
+
+class Fitter:
+    """A model being fitted to one scan: topology, fields and search trees are made once for all stages."""
+
+    def __init__(
+        self,
+        model: SurfaceModel,
+        target: Target,
+        landmarks: MeasuredLandmarks | None,
+        options: RegistrationOptions,
+    ) -> None:
+        self.model = model
+        self.target = target
+        self.landmarks = landmarks
+        self.options = options
+        self.fields = ModelFields(
+            model,
+            shape_count=min(options.shape_count, model.shape_count),
+            landmarks=None if landmarks is None else landmarks.landmark_set,
+            correctives=options.correctives,
+        )
+        self.surface = MovingSurface(model.template, model.faces)
+
+    def fit_landmarks(self, start: Float[np.ndarray, " Q"], stage: LandmarkStage) -> Solution:
+        """Pose, shape and place from landmarks and priors alone."""
+        terms = self._priors(stage.pose_prior_scale)
+        terms += self._landmark_terms(stage.sigma, stage.robust_scale)
+        return self._solve_model(terms, start, stage.iterations)
+
+    def fit_surface(self, start: Float[np.ndarray, " Q"], stage: SurfaceStage) -> Solution:
+        """Pose, shape and place from distances both ways."""
+        options = DistanceOptions(stage.sigma, stage.robust_scale, _TANGENTIAL, stage.minimum_cosine)
+        terms = self._priors(stage.pose_prior_scale)
+        terms += self._landmark_terms(stage.landmark_sigma, 3.0)
+        terms.append(self._data_term(MODEL, start, stage.points, stage.observations, options))
+        if self.target.surface is not None and stage.scan_share > 0:
+            share = stage.scan_share * stage.observations / self.model.vertex_count
+            weights = np.full(self.model.vertex_count, share)
+            terms.append(
+                SurfaceToScan("surface to scan", MODEL, self.surface, self.target.surface, weights, options)
+            )
+        return self._solve_model(terms, start, stage.iterations)
+
+    def fit_free(
+        self, start: Float[np.ndarray, " Q"], vertices: Float[np.ndarray, "V 3"], stage: FreeStage
+    ) -> Solution:
+        """Free vertices, coupled to a model that follows them (equation 5)."""
+        options = DistanceOptions(stage.sigma, stage.robust_scale, 1.0, stage.minimum_cosine)
+        terms = self._priors(stage.pose_prior_scale)
+        terms.append(self._data_term(FREE, start, stage.points, stage.observations, options))
+        terms.append(self._coupling(stage.coupling_sigma))
+        problem = Problem(terms, self.fields.derive, self.fields.differentiate, free_field=FREE)
+        limits = DoglegOptions(iterations=stage.iterations, relative_decrease=1e-3)
+        return solve(problem, State(start, vertices), limits)
+
+    def near_points(self, vector: Float[np.ndarray, " Q"]) -> SampledPoints:
+        """Samples on the model's side of the cut plane, a little of the arm included."""
+        posed = self.fields.evaluated(vector)
+        samples = self.target.samples
+        return samples.kept(beyond_cut(samples.positions, self.model.cut, posed, _ARM_MARGIN))
+
+    def _priors(self, pose_prior_scale: float) -> list[Term]:
+        return prior_terms(
+            self.model,
+            self.fields.columns,
+            pose_prior_scale=pose_prior_scale,
+            limit_sigma=self.options.limit_sigma,
+        )
+
+    def _landmark_terms(self, sigma: float, robust_scale: float) -> list[Term]:
+        if self.landmarks is None:
+            return []
+        sigmas = sigma * self.landmarks.relative_sigmas
+        return [LandmarkDistances("landmarks", LANDMARKS, self.landmarks.positions, sigmas, robust_scale)]
+
+    def _data_term(
+        self, field: str, vector: np.ndarray, count: int, observations: float, options: DistanceOptions
+    ) -> ScanToSurface:
+        near = self.near_points(vector).first(count)
+        weights = np.full(len(near.positions), observations / max(len(near.positions), 1))
+        if near.normals is None:
+            options = replace(options, minimum_cosine=-1.0)
+        return ScanToSurface(
+            "scan to surface", field, self.surface, near.positions, weights, near.normals, options
+        )
+
+    def _coupling(self, sigma: float) -> EdgeCoupling:
+        edges = unique_edges(self.model.faces)
+        ends = self.model.template[edges]
+        lengths = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
+        return EdgeCoupling(
+            "coupling", (FREE, MODEL), edges, self.model.vertex_count, sigma=sigma, weights=1 / lengths**2
+        )
+
+    def _solve_model(self, terms: list[Term], start: np.ndarray, iterations: int) -> Solution:
+        problem = Problem(terms, self.fields.derive, self.fields.differentiate)
+        return solve(problem, State(start), DoglegOptions(iterations=iterations, relative_decrease=1e-3))

@@ -1,0 +1,60 @@
+"""What the stages fit to: points sampled on a scan, and the scan's own surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from corporeal.geometry.closest_points import SurfaceTree
+from corporeal.geometry.normals import face_normals
+from corporeal.geometry.topology import boundary_edges
+from corporeal.scans.sampling import sample_surface
+from corporeal.scans.scan import Scan
+from corporeal.terms.scan_to_surface import open_sides
+from corporeal.terms.surface_to_scan import ScanSurface
+
+
+@dataclass(frozen=True, eq=False)
+class SampledPoints:
+    """Points on a scan with unit normals; normals are None where a point cloud's are only guessed."""
+
+    positions: Float[np.ndarray, "n 3"]
+    normals: Float[np.ndarray, "n 3"] | None
+
+    def kept(self, mask: Bool[np.ndarray, " n"]) -> SampledPoints:
+        """The points of a mask."""
+        return SampledPoints(self.positions[mask], None if self.normals is None else self.normals[mask])
+
+    def first(self, count: int) -> SampledPoints:
+        """At most ``count`` points, evenly taken."""
+        if len(self.positions) <= count:
+            return self
+        picked = np.linspace(0, len(self.positions) - 1, count).astype(np.int64)
+        return SampledPoints(self.positions[picked], None if self.normals is None else self.normals[picked])
+
+
+class Target:
+    """A scan prepared for fitting; samples and search tree are made once and kept."""
+
+    def __init__(self, scan: Scan, *, seed: int = 0) -> None:
+        self.scan = scan
+        self._seed = seed
+
+    @cached_property
+    def samples(self) -> SampledPoints:
+        """Points spread over the scan's area, in random order."""
+        points, normals = sample_surface(self.scan, 40_000, seed=self._seed)
+        return SampledPoints(points, None if self.scan.is_point_cloud else normals)
+
+    @cached_property
+    def surface(self) -> ScanSurface | None:
+        """The scan's triangles, or None for a point cloud."""
+        scan = self.scan
+        if scan.is_point_cloud:
+            return None
+        tree = SurfaceTree(scan.points, scan.faces)
+        sides = open_sides(scan.faces, boundary_edges(scan.faces))
+        return ScanSurface(tree, face_normals(scan.points, scan.faces), sides)

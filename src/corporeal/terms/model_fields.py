@@ -1,0 +1,95 @@
+"""The fields that follow from a model's parameters, and their Jacobians, for the solvers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from corporeal.model.jacobian import Evaluated, Linearised, ParameterColumns, evaluate, linearise
+from corporeal.model.landmarks import LandmarkSet
+from corporeal.model.surface_model import SurfaceModel
+
+MODEL = "model"
+LANDMARKS = "landmarks"
+
+
+@dataclass(frozen=True, eq=False)
+class ModelParameters:
+    """One posed instance: what registration and fitting solve for.
+
+    Attributes:
+        translation: (3,) metres.
+        pose: (K, 3) axis-angle, the root first, radians.
+        shape: (s,) coefficients of the first s shape directions.
+    """
+
+    translation: Float[np.ndarray, "3"]
+    pose: Float[np.ndarray, "K 3"]
+    shape: Float[np.ndarray, " s"]
+
+    def vector(self) -> Float[np.ndarray, " Q"]:
+        """As the solvers' parameter vector: translation, pose, shape."""
+        return np.concatenate([self.translation, self.pose.ravel(), self.shape])
+
+
+class ModelFields:
+    """Posed vertices and landmarks of a model as derived fields of its parameter vector."""
+
+    def __init__(
+        self,
+        model: SurfaceModel,
+        *,
+        shape_count: int,
+        landmarks: LandmarkSet | None = None,
+        correctives: bool = True,
+    ) -> None:
+        self.model = model
+        self.shape_count = shape_count
+        self._landmarks = landmarks
+        self._correctives = correctives
+
+    @cached_property
+    def columns(self) -> ParameterColumns:
+        """Slices of the parameter vector."""
+        return ParameterColumns.of_counts(self.model.joint_count, self.shape_count, 0)
+
+    def parameters(self, vector: Float[np.ndarray, " Q"]) -> ModelParameters:
+        """The named parts of a parameter vector."""
+        columns = self.columns
+        return ModelParameters(
+            vector[columns.translation].copy(),
+            vector[columns.pose].reshape(-1, 3).copy(),
+            vector[columns.shape].copy(),
+        )
+
+    def evaluated(self, vector: Float[np.ndarray, " Q"]) -> Evaluated:
+        """Posed vertices, joints and transforms."""
+        p = self.parameters(vector)
+        return evaluate(self.model, p.shape, p.pose, p.translation, correctives=self._correctives)
+
+    def derive(self, vector: Float[np.ndarray, " Q"]) -> dict[str, np.ndarray]:
+        """Field values: "model" (V, 3) and, with a landmark set, "landmarks" (N, 3); metres."""
+        posed = self.evaluated(vector)
+        fields = {MODEL: posed.vertices}
+        if self._landmarks is not None:
+            fields[LANDMARKS] = self._landmarks.positions(posed.vertices, posed.joints)
+        return fields
+
+    def differentiate(self, vector: Float[np.ndarray, " Q"]) -> dict[str, np.ndarray]:
+        """Jacobians of the fields, each (n, 3, Q)."""
+        p = self.parameters(vector)
+        linear = linearise(self.model, p.shape, p.pose, p.translation, correctives=self._correctives)
+        fields = {MODEL: linear.vertex_jacobian}
+        if self._landmarks is not None:
+            fields[LANDMARKS] = _landmark_jacobian(self._landmarks, linear)
+        return fields
+
+
+def _landmark_jacobian(landmarks: LandmarkSet, linear: Linearised) -> Float[np.ndarray, "N 3 Q"]:
+    V, K, Q = len(linear.vertices), len(linear.joints), linear.vertex_jacobian.shape[2]
+    of_vertices = landmarks.weights[:, :V] @ linear.vertex_jacobian.reshape(V, 3 * Q)
+    of_joints = landmarks.weights[:, V:] @ linear.joint_jacobian.reshape(K, 3 * Q)
+    return (of_vertices + of_joints).reshape(-1, 3, Q)
