@@ -28,7 +28,7 @@ def select_part(
     - weights of a dropped joint go to its nearest kept ancestor, or to the part's root where there is none;
     - the root loses its own pose correctives (a root has none);
     - a regressor row whose vertices are all kept stays; any other is solved anew, as the smallest row over
-      the kept vertices that gives the same rest joint for the template and all shape and expression directions;
+      the kept vertices that gives the same rest joint for the template and for every shape and expression;
     - landmarks that lose a vertex or joint are dropped, and so are parts and landmark sets that become empty;
     - pose blocks keep the numbers of their kept joints; coefficients still mean the same rotations;
     - the cut plane stays if its joint does; symmetry maps stay if the part is its own mirror image.
