@@ -1,0 +1,46 @@
+"""The command line: one subcommand per file of this room."""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated
+
+import tyro
+
+import corporeal
+from corporeal.cli import convert, info, register
+from corporeal.cli.errors import CommandError
+
+Command = (
+    Annotated[register.Register, tyro.conf.subcommand("register")]
+    | Annotated[info.Info, tyro.conf.subcommand("info")]
+    | Annotated[convert.Convert, tyro.conf.subcommand("convert")]
+)
+_RUN = {register.Register: register.run, info.Info: info.run, convert.Convert: convert.run}
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run a command; 0 when every item has a row, 1 when nothing could be done, 2 for a wrong call."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    if arguments == ["--version"]:
+        print(f"corporeal {corporeal.__version__}")
+        return 0
+    try:
+        config = tyro.cli(
+            Command,  # type: ignore[arg-type]
+            prog="corporeal",
+            description="Learn, register, fit and export articulated surface models.",
+            args=arguments,
+            config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes),
+        )
+        return _RUN[type(config)](config)
+    except CommandError as error:
+        print(f"corporeal: {error}", file=sys.stderr)
+        return error.status
+    except KeyboardInterrupt:
+        print("corporeal: interrupted", file=sys.stderr)
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

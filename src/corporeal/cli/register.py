@@ -1,0 +1,140 @@
+"""``corporeal register``: raw scans in, articulated hands out."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from corporeal.cli.errors import CommandError
+from corporeal.cli.files import write_json
+from corporeal.cli.landmark_evidence import LandmarkFinder
+from corporeal.cli.registration_outputs import registration_row, write_outputs
+from corporeal.model.files import ModelFileError, load_model, open_model
+from corporeal.model.surface_model import SurfaceModel
+from corporeal.registration.options import RegistrationOptions
+from corporeal.registration.register import register
+from corporeal.registration.registration import FailedRegistration
+from corporeal.scans.files import ScanFileError, read_scan
+
+
+@dataclass(frozen=True)
+class Register:
+    """Register raw hand scans: no landmarks to place, no options needed.
+
+    Attributes:
+        scans: scan files (PLY, OBJ, STL, OFF, GLB); meshes or point clouds.
+        output: folder that gets one folder of results per scan.
+        model: "hand" for the open hand in the box, or a model file.
+        side: which hand it is; auto finds out.
+        unit: unit of the files; auto guesses from the size, free estimates the scale of photographed scans.
+        landmarks: JSON or CSV with landmarks of the one scan, in its own unit; the detector is not asked then.
+        correctives: use the model's pose correctives.
+        json: also write the machine-readable result to this file.
+    """
+
+    scans: tyro.conf.Positional[tuple[Path, ...]]
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    model: str = "hand"
+    side: Literal["auto", "left", "right"] = "auto"
+    unit: Literal["auto", "m", "cm", "mm", "free"] = "auto"
+    landmarks: Path | None = None
+    correctives: bool = True
+    json: Path | None = None
+
+
+def run(config: Register) -> int:
+    """Register every scan; one bad scan costs one row."""
+    _check_call(config)
+    model = _model(config.model)
+    finder = LandmarkFinder(model, config.landmarks)
+    console = Console(stderr=True)
+    items: list[dict[str, Any]] = []
+    with Progress(
+        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"),
+        TimeElapsedColumn(), console=console, transient=True,
+    ) as progress:  # fmt: skip
+        task = progress.add_task("registering", total=len(config.scans))
+        for path in config.scans:
+            items.append(_one(path, model, finder, config, lambda step: progress.update(task, description=step)))
+            progress.advance(task)
+    for item in items:
+        console.print(_line(item), highlight=False)
+    if config.json is not None:
+        write_json(config.json, {"items": items})
+    if len(items) > 1:
+        counts = Counter(item["status"] for item in items)
+        console.print(", ".join(f"{count} {status}" for status, count in sorted(counts.items())))
+        return 0
+    return 1 if items[0]["status"] == "failed" else 0
+
+
+def _one(
+    path: Path, model: SurfaceModel, finder: LandmarkFinder, config: Register, on_step: Any
+) -> dict[str, Any]:
+    begun = time.perf_counter()
+    seconds = {"landmarks": 0.0, "fit": 0.0}
+    folder = config.output / path.stem
+    try:
+        on_step(f"{path.name}: reading")
+        scan = read_scan(path, unit=config.unit)
+        on_step(f"{path.name}: landmarks")
+        marked = time.perf_counter()
+        evidence, notes = finder.find(scan)
+        seconds["landmarks"] = time.perf_counter() - marked
+        marked = time.perf_counter()
+        result = register(
+            scan, model, evidence, None if config.side == "auto" else config.side,
+            RegistrationOptions(correctives=config.correctives), lambda step: on_step(f"{path.name}: {step}"),
+        )  # fmt: skip
+        seconds["fit"] = time.perf_counter() - marked
+        if isinstance(result, FailedRegistration):
+            row = registration_row(path, None, result.reason, seconds, notes)
+        else:
+            on_step(f"{path.name}: writing")
+            row = registration_row(path, result, result.reason, seconds, [*scan.repairs, *notes])
+            row["outputs"] = write_outputs(result, folder, row)
+    except (ScanFileError, OSError) as error:
+        row = registration_row(path, None, str(error), seconds, [])
+    row["seconds"]["total"] = time.perf_counter() - begun
+    try:
+        write_json(folder / "report.json", row)
+    except OSError as error:
+        row |= {"status": "failed", "reason": f"{folder}: results could not be written: {error}"}
+    return row
+
+
+def _check_call(config: Register) -> None:
+    if not config.scans:
+        raise CommandError("register: name at least one scan file", 2)
+    stems = Counter(path.stem for path in config.scans)
+    twice = [stem for stem, count in stems.items() if count > 1]
+    if twice:
+        raise CommandError(f"register: two scans named {twice[0]!r} would write to one folder; rename one", 2)
+    if config.landmarks is not None and len(config.scans) > 1:
+        raise CommandError("register: --landmarks goes with one scan, not with several", 2)
+
+
+def _model(name: str) -> SurfaceModel:
+    try:
+        return load_model(Path(name)) if Path(name).suffix else open_model(name)
+    except ModelFileError as error:
+        raise CommandError(str(error), 2) from error
+    except FileNotFoundError as error:
+        raise CommandError(f"--model {name}: no such file, and no open model of that name", 2) from error
+
+
+def _line(item: dict[str, Any]) -> str:
+    if item["s2m_mm"] is None:
+        return f"{item['scan']}: {item['status']} - {item['reason']}"
+    return (
+        f"{item['scan']}: {item['status']}, {item['side'] or 'no side'}, unit {item['unit']}, "
+        f"s2m {item['s2m_mm']['mean']:.2f} mm (model alone {item['model_s2m_mm']['mean']:.2f}), "
+        f"{item['seconds']['total']:.1f} s - {item['reason']}"
+    )

@@ -1,0 +1,88 @@
+"""What ``corporeal register`` leaves behind for one scan."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from corporeal.export.gltf import write_glb
+from corporeal.export.meshes import write_ply
+from corporeal.export.overview import write_overview
+from corporeal.registration.files import save_registration
+from corporeal.registration.registration import Registration
+
+
+def registration_row(
+    path: Path, result: Registration | None, reason: str, seconds: dict[str, float], notes: list[str]
+) -> dict[str, Any]:
+    """The machine-readable row of one scan; without a result it has failed."""
+    row: dict[str, Any] = {
+        "scan": str(path),
+        "status": "failed" if result is None else result.status,
+        "reason": reason,
+        "side": None if result is None else result.side,
+        "unit": None if result is None else result.scan.unit.name,
+        "metres_per_unit": None if result is None else result.scan.unit.metres_per_unit,
+        "seconds": {"total": 0.0, **seconds},
+        "s2m_mm": None if result is None else result.distances.summary_mm(),
+        "model_s2m_mm": None if result is None else result.model_distances.summary_mm(),
+        "excluded": "points before the wrist plane, and points within 1 mm of the open boundary",
+        "notes": notes,
+        "outputs": {},
+    }
+    if result is not None:
+        row["seconds"] |= {f"fit: {name}": value for name, value in result.seconds.items()}
+    return row
+
+
+def write_outputs(result: Registration, folder: Path, row: dict[str, Any]) -> dict[str, str]:
+    """Write the results of one scan; metres in the .npz and the GLB, the scan's own unit in the PLYs."""
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = {
+        name: folder / name
+        for name in ("registration.npz", "registration.ply", "model.ply", "hand.glb", "overview.png")
+    }
+    save_registration(result, paths["registration.npz"])
+    scan, faces, parameters = result.scan, result.model.faces, result.parameters
+    write_ply(paths["registration.ply"], scan.in_own_unit(result.vertices), faces)
+    write_ply(paths["model.ply"], scan.in_own_unit(result.model_vertices), faces)
+    write_glb(
+        paths["hand.glb"], result.model, parameters.shape, parameters.pose, parameters.translation,
+        correctives=result.correctives,
+    )  # fmt: skip
+    write_overview(
+        paths["overview.png"],
+        scan_points=scan.points,
+        scan_faces=scan.faces,
+        scan_normals=scan.normals,
+        model_vertices=result.model_vertices,
+        registration_vertices=result.vertices,
+        faces=faces,
+        title=_title(row),
+        point_errors_mm=np.where(result.distances.scored, 1e3 * result.distances.metres, np.nan),
+        views=_views(result),
+    )
+    return {name: str(path) for name, path in paths.items()}
+
+
+def _title(row: dict[str, Any]) -> tuple[str, ...]:
+    registration, model = row["s2m_mm"], row["model_s2m_mm"]
+    return (
+        f"{Path(row['scan']).name}: {row['status']}, {row['side']} hand",
+        f"scan to registration: mean {registration['mean']:.2f} mm, 95 % under {registration['p95']:.2f} mm; "
+        f"scan to model alone: mean {model['mean']:.2f} mm",
+    )
+
+
+def _views(result: Registration) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+    """Palm and back of the hand as (view direction, up) in the scan's frame; up is where the fingers point."""
+    model, root = result.model, result.parameters.pose[0]
+    from scipy.spatial.transform import Rotation
+
+    R_world_root = Rotation.from_rotvec(root).as_matrix()
+    along = model.template.mean(0) - np.asarray(model.joint_regressor @ model.template)[0]
+    fingers = R_world_root @ (along / np.linalg.norm(along))
+    down = R_world_root @ np.array([0.0, -1.0, 0.0])
+    return ((-down, fingers), (down, fingers))
