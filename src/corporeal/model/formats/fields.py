@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import scipy.sparse as sp
@@ -12,6 +12,7 @@ import scipy.sparse as sp
 Shape = Sequence[int | None]
 
 
+@runtime_checkable
 class Source(Protocol):
     """A container of named values, read one by one."""
 
@@ -56,7 +57,7 @@ def indices(source: Source, key: str, shape: Shape, upper: int, lower: int = 0) 
         raise ValueError(
             f"{key!r} holds {value.min()} .. {value.max()}, expected indices in {lower} .. {upper - 1}"
         )
-    return value.astype(np.int64)
+    return np.array(value, dtype=np.int64, order="C")
 
 
 def sparse_numbers(source: Source, key: str, shape: tuple[int, int]) -> sp.csr_matrix:
@@ -105,7 +106,7 @@ def _check_shape(key: str, got: tuple[int, ...], wanted: Shape) -> None:
 def _finite(key: str, value: np.ndarray) -> np.ndarray:
     if value.dtype.kind not in "fiub":
         raise ValueError(f"{key!r} has type {value.dtype}, expected numbers")
-    result = value.astype(np.float64)
+    result = np.array(value, dtype=np.float64, order="C")
     if not np.isfinite(result).all():
         raise ValueError(f"{key!r} holds NaN or infinite numbers")
     return result
