@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from corporeal.atomic import write_bytes
+
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write JSON; numbers that are not finite become null, which JSON can say."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    temporary.write_text(json.dumps(_finite(content), indent=2, allow_nan=False) + "\n")
-    os.replace(temporary, path)
+    write_bytes(path, (json.dumps(_finite(content), indent=2, allow_nan=False) + "\n").encode())
 
 
 def _finite(value: Any) -> Any:

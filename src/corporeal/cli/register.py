@@ -62,7 +62,9 @@ def run(config: Register) -> int:
     ) as progress:  # fmt: skip
         task = progress.add_task("registering", total=len(config.scans))
         for path in config.scans:
-            items.append(_one(path, model, finder, config, lambda step: progress.update(task, description=step)))
+            items.append(
+                _one(path, model, finder, config, lambda step: progress.update(task, description=step))
+            )
             progress.advance(task)
     for item in items:
         console.print(_line(item), highlight=False)

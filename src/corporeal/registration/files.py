@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import os
+import io
 from pathlib import Path
 
 import numpy as np
 
+from corporeal.atomic import write_bytes
 from corporeal.registration.registration import Registration
 
 
@@ -19,25 +20,23 @@ def save_registration(registration: Registration, path: Path) -> None:
     scan's frame.
     """
     parameters, unit = registration.parameters, registration.scan.unit
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    with temporary.open("wb") as file:
-        np.savez_compressed(
-            file,
-            vertices=registration.vertices,
-            model_vertices=registration.model_vertices,
-            faces=registration.model.faces,
-            pose=parameters.pose,
-            shape=parameters.shape,
-            translation=parameters.translation,
-            side=np.array(registration.side or ""),
-            landmark_names=np.array(list(registration.landmarks)),
-            landmarks=np.array(list(registration.landmarks.values())).reshape(-1, 3),
-            model=np.array(registration.model.name),
-            correctives=np.array(registration.correctives),
-            status=np.array(registration.status),
-            reason=np.array(registration.reason),
-            unit=np.array(unit.name),
-            metres_per_unit=np.array(unit.metres_per_unit),
-        )
-    os.replace(temporary, path)
+    buffer = io.BytesIO()
+    np.savez_compressed(
+        buffer,
+        vertices=registration.vertices,
+        model_vertices=registration.model_vertices,
+        faces=registration.model.faces,
+        pose=parameters.pose,
+        shape=parameters.shape,
+        translation=parameters.translation,
+        side=np.array(registration.side or ""),
+        landmark_names=np.array(list(registration.landmarks)),
+        landmarks=np.array(list(registration.landmarks.values())).reshape(-1, 3),
+        model=np.array(registration.model.name),
+        correctives=np.array(registration.correctives),
+        status=np.array(registration.status),
+        reason=np.array(registration.reason),
+        unit=np.array(unit.name),
+        metres_per_unit=np.array(unit.metres_per_unit),
+    )
+    write_bytes(path, buffer.getvalue())

@@ -11,8 +11,8 @@ from jaxtyping import Bool, Float
 from corporeal.geometry.closest_points import SurfaceTree
 from corporeal.geometry.normals import face_normals
 from corporeal.geometry.topology import boundary_edges
-from corporeal.scans.surface_sampling import sample_surface
 from corporeal.scans.scan import Scan
+from corporeal.scans.surface_sampling import sample_surface
 from corporeal.terms.scan_to_surface import open_sides
 from corporeal.terms.surface_to_scan import ScanSurface
 

@@ -1,0 +1,183 @@
+"""Register the real scans, as they are and altered in every way a user's scan may differ.
+
+Prints one row per variant: status, side, s2m of the registration against the *original* scan, s2m of the model
+alone, how deep one finger stands in another, and the times. ``--out DIR`` keeps everything, pictures included.
+
+    python benchmarks/real_scans.py [--data DIR] [--out DIR] [--json FILE] [--only WORD]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import igl
+import numpy as np
+import trimesh
+from corporeal.geometry.closest_points import SurfaceTree
+from corporeal.geometry.self_intersection import part_penetration
+from scipy.spatial.transform import Rotation
+
+import corporeal  # sets the thread policy before numba and OpenBLAS are loaded
+from corporeal.model.files import open_model
+from corporeal.scans.files import read_scan
+
+HEADER = "scan                       status    side     s2m   p95  model inside  fit s wall s"
+SCANS = {
+    "hand5": ("scans/hand-scan2knit/hand5.off", "right", 0.5),
+    "hand3": ("scans/hand-sense/hand3.stl", "left", 0.1),
+    "hand1": ("scans/hand-sense/hand1.stl", None, None),
+}
+
+
+@dataclass(frozen=True)
+class Variant:
+    """An altered scan and the way back to the original's frame and millimetres."""
+
+    label: str
+    points: np.ndarray
+    faces: np.ndarray
+    options: tuple[str, ...]
+    mirrored: bool
+    back: np.ndarray  # (3, 4): original_mm = back @ (own unit, 1)
+
+
+def variants(points: np.ndarray, faces: np.ndarray, share: float | None) -> Iterator[Variant]:
+    """The scan as it is; and, for whole scans, the alterations of the issue."""
+    same = np.eye(3, 4)
+    yield Variant("as it is", points, faces, (), False, same)
+    if share is None:
+        return
+    R = Rotation.random(random_state=7).as_matrix()
+    yield Variant("turned", points @ R.T, faces, (), False, np.c_[R.T, np.zeros(3)])
+    flip = np.diag([-1.0, 1, 1])
+    yield Variant("mirrored", points @ flip, faces[:, ::-1], (), True, np.c_[flip, np.zeros(3)])
+    yield Variant("in metres", points / 1000, faces, (), False, np.c_[1000 * np.eye(3), np.zeros(3)])
+    yield Variant(
+        "x 20.8, free", points * 20.8, faces, ("--unit", "free"), False, np.c_[np.eye(3) / 20.8, np.zeros(3)]
+    )
+    yield Variant("point cloud", points, np.zeros((0, 3), np.int64), (), False, same)
+    thin_points, thin_faces = igl.qslim(points, faces, int(share * len(faces)))[:2]
+    yield Variant(f"decimated to {share:.0%}", thin_points, thin_faces, (), False, same)
+
+
+def run_variant(variant: Variant, name: str, folder: Path, model_name: str) -> dict:
+    """Register one variant with the command line and measure against the original scan."""
+    folder.mkdir(parents=True, exist_ok=True)
+    scan = folder / f"{name}.ply"
+    geometry = (
+        trimesh.Trimesh(variant.points, variant.faces, process=False)
+        if len(variant.faces)
+        else trimesh.PointCloud(variant.points)
+    )
+    geometry.export(scan)
+    result = folder / "result.json"
+    command = [sys.executable, "-m", "corporeal.cli.main", "register", str(scan), "-o", str(folder), "--json"]
+    begun = time.perf_counter()
+    status = subprocess.run(
+        [*command, str(result), "--model", model_name, *variant.options],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    wall = time.perf_counter() - begun
+    if not result.exists():
+        return {"status": "crashed", "reason": status.stderr[-300:], "wall": wall}
+    row = json.loads(result.read_text())["items"][0]
+    row["wall"] = wall
+    return row
+
+
+def own_to_original(row: dict, variant: Variant, name: str, folder: Path) -> np.ndarray:
+    """The registration's vertices in the original scan's frame, millimetres."""
+    mesh = trimesh.load(folder / name / "registration.ply", process=False)
+    return np.c_[np.asarray(mesh.vertices), np.ones(len(mesh.vertices))] @ variant.back.T
+
+
+def measures(row: dict, variant: Variant, name: str, folder: Path, original: np.ndarray) -> dict:
+    """s2m of the original scan's hand to the registration, and the deepest penetration, mm."""
+    archive = np.load(folder / name / "registration.npz")
+    faces = archive["faces"]
+    vertices = own_to_original(row, variant, name, folder)
+    if variant.mirrored:
+        faces = faces[:, ::-1]
+    model = open_model("hand", row["side"])
+    scored = _scored(original, vertices, faces)
+    distance = np.sqrt(SurfaceTree(vertices, faces).closest(original[scored]).squared_distances)
+    parts = np.zeros(len(vertices), dtype=np.int64)
+    for label, members in enumerate(model.parts.values(), start=1):
+        parts[members] = label
+    deepest = 1e3 * part_penetration(archive["vertices"], archive["faces"], parts).deepest
+    return {
+        "mean": float(distance.mean()),
+        "p95": float(np.percentile(distance, 95)),
+        "scored": int(scored.sum()),
+        "penetration": deepest,
+    }
+
+
+def line(row: dict) -> str:
+    """One row of the table."""
+    m = row["against_original_mm"]
+    numbers = f"{m['mean']:5.2f} {m['p95']:5.2f} {row['model_s2m_mm']['mean']:6.2f} {m['penetration']:6.2f}"
+    times = f"{row['seconds']['fit']:6.2f} {row['wall']:6.1f}"
+    reason = row["reason"] if row["status"] != "ok" else ""
+    return f"{row['variant']:26} {row['status']:9} {row['side']:6} {numbers} {times}  {reason}"
+
+
+def _scored(original: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Original points whose closest point is not within 1 mm of the registration's open boundary."""
+    from corporeal.geometry.topology import boundary_loops
+
+    closest = SurfaceTree(vertices, faces).closest(original)
+    loop = vertices[boundary_loops(faces)[0]]
+    dense = np.concatenate([loop + s * (np.roll(loop, -1, 0) - loop) for s in np.linspace(0, 1, 20)])
+    gap = np.linalg.norm(closest.points[:, None] - dense[None, ::2], axis=2).min(1)
+    return gap > 1.0
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--only", default="", help="only variants whose name holds this")
+    parser.add_argument("--model", default="hand")
+    options = parser.parse_args()
+    if not options.data.is_dir():
+        print(f"real scans not found in {options.data}: nothing measured")
+        return
+    out = options.out or Path(tempfile.mkdtemp(prefix="corporeal-"))
+    print(f"corporeal {corporeal.__version__}; results in {out}")
+    print(HEADER)
+    rows = []
+    for name, (file, side, share) in SCANS.items():
+        scan = read_scan(options.data / file)
+        original = 1e3 * scan.points
+        for variant in variants(original, scan.faces, share):
+            if options.only not in f"{name} {variant.label}":
+                continue
+            folder = out / f"{name}-{variant.label.replace(' ', '_').replace('%', '').replace(',', '')}"
+            row = run_variant(variant, name, folder, options.model)
+            row |= {"variant": f"{name} {variant.label}", "expected_side": side}
+            if row["status"] in ("ok", "doubtful"):
+                row["against_original_mm"] = measures(row, variant, name, folder, original)
+                print(line(row), flush=True)
+            else:
+                print(f"{row['variant']:26} {row['status']:9} {row['reason']}", flush=True)
+            rows.append(row)
+    if options.json:
+        options.json.write_text(json.dumps({"items": rows}, indent=1))
+
+
+if __name__ == "__main__":
+    main()
