@@ -1,23 +1,24 @@
 """Closed-form Jacobian of one posed surface, for solvers: float64 numpy in and out.
 
-The derivative of a vertex by a joint's rotation is the cross product with the part of the vertex that the joint's
-descendants carry, plus the derivative of the pose correctives; rotations are differentiated through the left
-Jacobian of SO(3) (Sola et al. 2018, "A micro Lie theory", equation 145), which is smooth at every angle.
+The derivative of a vertex by a joint's rotation is the cross product with the part of the vertex that the
+joint's descendants carry, plus the derivative of the pose correctives. Rotations are differentiated through
+the left Jacobian of SO(3) (Sola et al. 2018, "A micro Lie theory", equation 145), which is smooth at every angle.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from corporeal.model import jacobian_kernels as kernels
-from corporeal.model.kernel_arrays import KernelArrays
 from corporeal.model.surface_model import SurfaceModel
 
-# Work below which a second thread costs more than it saves, in multiply-adds; waking it takes about 10 us.
-_PARALLEL_FROM = 100_000
+# Multiply-adds below which a second thread costs more than it saves: a thread pool that sleeps while it waits
+# (OMP_WAIT_POLICY) takes about 80 us to wake.
+_PARALLEL_FROM = 2_000_000
 _CHUNKS = 16
 
 
@@ -80,38 +81,39 @@ class Linearised:
     columns: ParameterColumns
 
 
-@dataclass(frozen=True, eq=False)
-class _State:
-    """Checked parameters and the posed joints; what both functions below share."""
+class JointState(NamedTuple):
+    """The posed joints, without translation: what both functions below start from."""
 
-    arrays: KernelArrays
-    coefficients: Float[np.ndarray, " C"]
-    ranges: Int[np.ndarray, "2 2"]
-    feature: Float[np.ndarray, " P"]
-    local: Float[np.ndarray, "K 3 3"]
-    left: Float[np.ndarray, "K 3 3"]
-    turned: Float[np.ndarray, "K 3 3"]
-    placed: Float[np.ndarray, "K 3"]
-    offset: Float[np.ndarray, "K 3"]
-    translation: Float[np.ndarray, 3]
+    local: Float[np.ndarray, "K 3 3"]  # rotation against the parent
+    left: Float[np.ndarray, "K 3 3"]  # left Jacobian of SO(3) at the joint's axis-angle
+    turned: Float[np.ndarray, "K 3 3"]  # rotation to the world
+    rest: Float[np.ndarray, "K 3"]  # position at the zero pose
+    placed: Float[np.ndarray, "K 3"]  # position
+    motion: Float[np.ndarray, "K 12"]  # what skinning blends: rotation row-major, then placed - turned @ rest
+    feature: Float[np.ndarray, " P"]  # rotations minus identity; empty without correctives
 
-    def vertex_inputs(self) -> tuple[np.ndarray, ...]:
-        """What both vertex kernels take first, in their order."""
-        arrays = self.arrays
-        return (
-            arrays.template, arrays.directions, self.coefficients, self.ranges, arrays.pose_directions,
-            self.feature, arrays.corrected.starts, arrays.corrected.columns, arrays.weights.starts,
-            arrays.weights.columns, arrays.weights.values,
-        )  # fmt: skip
+    @classmethod
+    def blank(cls, K: int, P: int) -> JointState:
+        """Room for K joints and P pose features."""
+        matrices = (np.empty((K, 3, 3)) for _ in range(3))
+        return cls(*matrices, np.empty((K, 3)), np.empty((K, 3)), np.empty((K, 12)), np.empty(P))
 
-    def frames(self) -> tuple[np.ndarray, np.ndarray]:
-        """Joints (K, 3) and T_world_joint (K, 4, 4), translation included."""
-        joints = self.placed + self.translation
+    def frames(self, translation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Joints (K, 3) and T_world_joint (K, 4, 4)."""
+        joints = self.placed + translation
         T_world_joint = np.zeros((len(joints), 4, 4))
         T_world_joint[:, :3, :3] = self.turned
         T_world_joint[:, :3, 3] = joints
         T_world_joint[:, 3, 3] = 1
         return joints, T_world_joint
+
+
+class JointSlopes(NamedTuple):
+    """The part of the Jacobian that depends on joints alone."""
+
+    spin: Float[np.ndarray, "K 3 3"]  # axis-angle of a joint -> world rotation of its subtree
+    turning: Float[np.ndarray, "K 9 3"]  # derivative of the rotation matrix by the axis-angle
+    shift: Float[np.ndarray, "K 3 n"]  # derivative of the motion's offset by the coefficients
 
 
 def evaluate(
@@ -136,13 +138,10 @@ def evaluate(
     Raises:
         ValueError: a wrong number of joints, or more coefficients than directions.
     """
-    state = _posed_joints(model, shape, pose, translation, expression, correctives)
-    vertices = np.empty_like(state.arrays.template)
-    work = 3 * len(vertices) * (int(state.ranges[:, 1].sum()) + len(state.feature) + 40)
-    kernels.pose_vertices(
-        _chunks(work), *state.vertex_inputs(), state.turned, state.offset, state.translation, vertices
-    )
-    return Evaluated(vertices, *state.frames())
+    coefficients, _ = _coefficients(model, shape, expression)
+    joints = _posed_joints(model, coefficients, pose, correctives)
+    translation = np.ascontiguousarray(translation, dtype=np.float64)
+    return Evaluated(_posed_vertices(model, coefficients, joints, translation), *joints.frames(translation))
 
 
 def linearise(
@@ -161,68 +160,58 @@ def linearise(
     Raises:
         ValueError: a wrong number of joints, or more coefficients than directions.
     """
-    state = _posed_joints(model, shape, pose, translation, expression, correctives)
-    arrays = state.arrays
-    V, K = len(arrays.template), len(arrays.parents)
-    coefficient_count = int(state.ranges[:, 1].sum())
-    columns = ParameterColumns.of_counts(K, int(state.ranges[0, 1]), int(state.ranges[1, 1]))
-    spin, turning, shift = np.empty((K, 3, 3)), np.empty((K, 9, 3)), np.empty((K, 3, coefficient_count))
-    joint_jacobian = np.zeros((K, 3, columns.count))
-    kernels.joint_derivatives(
-        arrays.parents, state.local, state.left, state.turned, state.placed, arrays.joint_directions,
-        state.ranges, spin, turning, shift, joint_jacobian,
-    )  # fmt: skip
-    vertices, jacobian = np.empty((V, 3)), np.empty((V, 3, columns.count))
-    work = 3 * V * (columns.count + coefficient_count + 4 * len(state.feature))
-    kernels.vertex_derivatives(
-        _chunks(work), *state.vertex_inputs(), arrays.chain.starts, arrays.chain.columns, arrays.parents,
-        state.turned, state.placed, state.offset, spin, turning, shift, state.translation, vertices, jacobian,
-    )  # fmt: skip
-    joints, T_world_joint = state.frames()
-    return Linearised(vertices, joints, T_world_joint, jacobian, joint_jacobian, columns)
+    arrays = model.kernel_arrays
+    coefficients, chosen = _coefficients(model, shape, expression)
+    joints = _posed_joints(model, coefficients, pose, correctives)
+    translation = np.ascontiguousarray(translation, dtype=np.float64)
+    V, K, n = model.vertex_count, model.joint_count, len(chosen)
+    columns = ParameterColumns.of_counts(K, len(shape), n - len(shape))
+    slopes = JointSlopes(np.empty((K, 3, 3)), np.empty((K, 9, 3)), np.empty((K, 3, n)))
+    joint_jacobian, jacobian = np.zeros((K, 3, columns.count)), np.empty((V, 3, columns.count))
+    kernels.joint_slopes(arrays, joints, arrays.joint_directions[:, :, chosen], slopes, joint_jacobian)
+    work = 3 * V * (columns.count + 3 * n + 4 * len(joints.feature))
+    kernels.linearise_vertices(_chunks(work), arrays, coefficients, chosen, joints, slopes, jacobian)
+    vertices = _posed_vertices(model, coefficients, joints, translation)
+    return Linearised(vertices, *joints.frames(translation), jacobian, joint_jacobian, columns)
 
 
 def _chunks(work: int) -> int:
     return _CHUNKS if work > _PARALLEL_FROM else 1
 
 
+def _posed_vertices(
+    model: SurfaceModel, coefficients: np.ndarray, joints: JointState, translation: np.ndarray
+) -> np.ndarray:
+    vertices = np.empty((model.vertex_count, 3))
+    work = vertices.size * (len(coefficients) + len(joints.feature) + 40)
+    kernels.pose_vertices(_chunks(work), model.kernel_arrays, coefficients, joints, translation, vertices)
+    return vertices
+
+
 def _posed_joints(
-    model: SurfaceModel, shape: np.ndarray, pose: np.ndarray, translation: np.ndarray,
-    expression: np.ndarray | None, correctives: bool,
-) -> _State:  # fmt: skip
-    arrays = model.kernel_arrays
-    K = len(arrays.parents)
+    model: SurfaceModel, coefficients: np.ndarray, pose: np.ndarray, correctives: bool
+) -> JointState:
+    K = model.joint_count
     if pose.shape != (K, 3):
         raise ValueError(
             f"pose: shape {pose.shape}, expected ({K}, 3): one axis-angle per joint of the model"
         )
-    coefficients, ranges = _coefficients(model, shape, expression)
+    joints = JointState.blank(K, model.pose_directions.shape[2] if correctives else 0)
     pose = np.ascontiguousarray(pose, dtype=np.float64)
-    local, left, turned = np.empty((K, 3, 3)), np.empty((K, 3, 3)), np.empty((K, 3, 3))
-    rest_joints, placed, offset = np.empty((K, 3)), np.empty((K, 3)), np.empty((K, 3))
-    kernels.rest_joint_positions(
-        arrays.joint_template, arrays.joint_directions, coefficients, ranges, rest_joints
-    )
-    kernels.joint_motion(pose, rest_joints, arrays.parents, local, left, turned, placed, offset)
-    feature = np.empty(arrays.pose_directions.shape[2] if correctives else 0)
-    if len(feature):
-        kernels.pose_feature(local, feature)
-    return _State(
-        arrays, coefficients, ranges, feature, local, left, turned, placed, offset,
-        np.ascontiguousarray(translation, dtype=np.float64),
-    )  # fmt: skip
+    kernels.chain_joints(model.kernel_arrays, coefficients, pose, joints)
+    return joints
 
 
 def _coefficients(
     model: SurfaceModel, shape: np.ndarray, expression: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """All C coefficients, and (first, count) of the given shape and expression coefficients among them."""
+    """All C coefficients, and the indices of those that were given."""
     S, E = model.shape_count, model.expression_count
     expression = np.zeros(0) if expression is None else expression
     for label, given, count in (("shape", shape, S), ("expression", expression, E)):
         if len(given) > count:
             raise ValueError(f"{label}: {len(given)} coefficients for {count} {label} directions")
     coefficients = np.zeros(S + E)
-    coefficients[: len(shape)] = shape
-    coefficients[S : S + len(expression)] = expression
-    return coefficients, np.array([[0, len(shape)], [S, len(expression)]])
+    chosen = np.concatenate([np.arange(len(shape)), S + np.arange(len(expression))])
+    coefficients[chosen] = np.concatenate([shape, expression])
+    return coefficients, chosen

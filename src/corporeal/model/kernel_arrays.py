@@ -2,91 +2,87 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float, Int
 
 
-@dataclass(frozen=True, eq=False)
-class SparseRows:
-    """Non-zeros of a matrix with one row per vertex.
+class KernelArrays(NamedTuple):
+    """Float64, C-contiguous. A named tuple, because numba takes it whole; R = 3 V rows, one per coordinate.
+
+    C counts shape and expression directions together, shape first. The three sparse tables have one row per
+    vertex: ``starts[i]`` to ``starts[i + 1]`` are its entries.
 
     Attributes:
-        starts: (V + 1,) where each vertex's entries begin.
-        columns: (n,) joint of each entry.
-        values: (n,) the entries; empty where only the pattern matters.
-    """
-
-    starts: Int[np.ndarray, " V1"]
-    columns: Int[np.ndarray, " n"]
-    values: Float[np.ndarray, " m"]
-
-    @classmethod
-    def of_matrix(cls, matrix: np.ndarray) -> SparseRows:
-        """Keep the non-zeros, in ascending order of columns."""
-        rows = sp.csr_matrix(matrix)
-        return cls(rows.indptr.astype(np.int64), rows.indices.astype(np.int64), rows.data.astype(np.float64))
-
-
-@dataclass(frozen=True, eq=False)
-class KernelArrays:
-    """Float64, C-contiguous; C counts shape and expression directions together, shape first.
-
-    Attributes:
-        template: (V, 3).
-        directions: (V, 3, C).
-        pose_directions: (V, 3, P).
+        template: (R,).
+        directions: (R, C).
+        pose_directions: (R, P); the model's own memory where it is float64.
         joint_template: (K, 3), the regressor applied to the template.
         joint_directions: (K, 3, C), the regressor applied to the directions: joints are linear in shape.
         parents: (K,).
-        weights: skinning weights of every vertex.
-        chain: per vertex the joints that move it, with all their ancestors, ascending (parents first).
-        corrected: per vertex the joints (1..K-1) whose pose correctives move it; pattern only.
+        weight_starts: (V + 1,).
+        weight_joints: joints with a skinning weight.
+        weight_values: the weights.
+        chain_starts: (V + 1,).
+        chain_joints: joints that move a vertex, with all their ancestors, ascending (parents first).
+        corrected_starts: (V + 1,).
+        corrected_joints: joints (1..K-1) whose pose correctives move a vertex.
     """
 
-    template: Float[np.ndarray, "V 3"]
-    directions: Float[np.ndarray, "V 3 C"]
-    pose_directions: Float[np.ndarray, "V 3 P"]
+    template: Float[np.ndarray, " R"]
+    directions: Float[np.ndarray, "R C"]
+    pose_directions: Float[np.ndarray, "R P"]
     joint_template: Float[np.ndarray, "K 3"]
     joint_directions: Float[np.ndarray, "K 3 C"]
     parents: Int[np.ndarray, " K"]
-    weights: SparseRows
-    chain: SparseRows
-    corrected: SparseRows
+    weight_starts: Int[np.ndarray, " V1"]
+    weight_joints: Int[np.ndarray, " w"]
+    weight_values: Float[np.ndarray, " w"]
+    chain_starts: Int[np.ndarray, " V1"]
+    chain_joints: Int[np.ndarray, " c"]
+    corrected_starts: Int[np.ndarray, " V1"]
+    corrected_joints: Int[np.ndarray, " p"]
 
-    @classmethod
-    def of_fields(
-        cls,
-        *,
-        template: np.ndarray,
-        directions: np.ndarray,
-        pose_directions: np.ndarray,
-        joint_regressor: sp.csr_matrix,
-        skinning_weights: np.ndarray,
-        parents: np.ndarray,
-    ) -> KernelArrays:
-        """Build from a model's fields; arrays that are float64 and contiguous are not copied."""
-        V, K = skinning_weights.shape
-        C = directions.shape[2]
-        regressor = sp.csr_matrix(joint_regressor, dtype=np.float64)
-        moved = skinning_weights != 0
-        for joint in range(K - 1, 0, -1):
-            moved[:, parents[joint]] |= moved[:, joint]
-        moved[:, 0] = True
-        corrected = np.zeros((V, K), dtype=bool)
-        if pose_directions.shape[2]:
-            corrected[:, 1:] = (pose_directions.reshape(V, 3, K - 1, 9) != 0).any(axis=(1, 3))
-        joint_directions = regressor @ np.asarray(directions, dtype=np.float64).reshape(V, 3 * C)
-        return cls(
-            template=np.ascontiguousarray(template, dtype=np.float64),
-            directions=np.ascontiguousarray(directions, dtype=np.float64),
-            pose_directions=np.ascontiguousarray(pose_directions, dtype=np.float64),
-            joint_template=np.ascontiguousarray(regressor @ template, dtype=np.float64),
-            joint_directions=np.ascontiguousarray(joint_directions.reshape(K, 3, C)),
-            parents=np.asarray(parents, dtype=np.int64),
-            weights=SparseRows.of_matrix(skinning_weights),
-            chain=SparseRows.of_matrix(moved),
-            corrected=SparseRows.of_matrix(corrected),
-        )
+
+def kernel_arrays(
+    *,
+    template: Float[np.ndarray, "V 3"],
+    directions: Float[np.ndarray, "V 3 C"],
+    pose_directions: Float[np.ndarray, "V 3 P"],
+    joint_regressor: sp.csr_matrix,
+    skinning_weights: Float[np.ndarray, "V K"],
+    parents: Int[np.ndarray, " K"],
+) -> KernelArrays:
+    """Build from a model's fields."""
+    V, K = skinning_weights.shape
+    C, P = directions.shape[2], pose_directions.shape[2]
+    moved = skinning_weights != 0
+    for joint in range(K - 1, 0, -1):
+        moved[:, parents[joint]] |= moved[:, joint]
+    corrected = np.zeros((V, K), dtype=bool)
+    if P:
+        corrected[:, 1:] = (pose_directions.reshape(V, 3, K - 1, 9) != 0).any(axis=(1, 3))
+    joint_template = joint_regressor @ template.astype(np.float64)
+    joint_directions = joint_regressor @ directions.reshape(V, 3 * C).astype(np.float64)
+    weights, chain, correction = (sp.csr_matrix(table) for table in (skinning_weights, moved, corrected))
+    return KernelArrays(
+        template=_double(template.reshape(3 * V)),
+        directions=_double(directions.reshape(3 * V, C)),
+        pose_directions=_double(pose_directions.reshape(3 * V, P)),
+        joint_template=_double(joint_template),
+        joint_directions=_double(joint_directions.reshape(K, 3, C)),
+        parents=parents.astype(np.int64),
+        weight_starts=weights.indptr.astype(np.int64),
+        weight_joints=weights.indices.astype(np.int64),
+        weight_values=_double(weights.data),
+        chain_starts=chain.indptr.astype(np.int64),
+        chain_joints=chain.indices.astype(np.int64),
+        corrected_starts=correction.indptr.astype(np.int64),
+        corrected_joints=correction.indices.astype(np.int64),
+    )
+
+
+def _double(array: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(array, dtype=np.float64)

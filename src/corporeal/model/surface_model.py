@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from corporeal.model.forward import ModelTensors, PosedSurface, posed_surface
-from corporeal.model.kernel_arrays import KernelArrays
+from corporeal.model.kernel_arrays import KernelArrays, kernel_arrays
 from corporeal.model.landmarks import LandmarkSet
 from corporeal.model.pose import FullPose, Pose
 from corporeal.model.statistics import PoseBlock
@@ -132,7 +132,7 @@ class SurfaceModel:
     @cached_property
     def kernel_arrays(self) -> KernelArrays:
         """The model's arrays for the float64 kernels of evaluation and Jacobian, made once and kept."""
-        return KernelArrays.of_fields(
+        return kernel_arrays(
             template=self.template,
             directions=np.concatenate([self.shape_directions, self.expression_directions], axis=2),
             pose_directions=self.pose_directions,
