@@ -70,7 +70,7 @@ class ModelTensors:
             directions=tensor(shape_directions.reshape(3 * V, C)),
             pose_directions=tensor(pose_directions.reshape(3 * V, -1).T),
             joint_template=tensor(joint_regressor @ template),
-            joint_directions=tensor(joint_directions.reshape(-1, C)),
+            joint_directions=tensor(joint_directions.reshape(3 * len(parents), C)),
             skinning_weights=tensor(skinning_weights),
             parents=np.asarray(parents, dtype=np.int64),
         )
