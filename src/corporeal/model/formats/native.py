@@ -91,16 +91,16 @@ def read_native(source: Source) -> SurfaceModel:
         },
         pose_blocks=tuple(
             _read_block(source, f"corporeal_block_{i}", record, K)
-            for i, record in enumerate(header["blocks"])
+            for i, record in enumerate(_typed(header["blocks"], list))
         ),
         landmarks={
             _typed(record["name"], str): _read_landmarks(source, f"corporeal_landmarks_{i}", record, V, K)
-            for i, record in enumerate(header["landmarks"])
+            for i, record in enumerate(_typed(header["landmarks"], list))
         },
         mirror_vertices=_read_optional(source, "corporeal_mirror_vertices", V),
         mirror_joints=_read_optional(source, "corporeal_mirror_joints", K),
         cut=_read_cut(source, header["cut_joint"], K),
-        notes={_typed(key, str): _typed(value, str) for key, value in header["notes"].items()},
+        notes={_typed(key, str): _typed(value, str) for key, value in _typed(header["notes"], dict).items()},
     )
 
 
