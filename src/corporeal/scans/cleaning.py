@@ -50,7 +50,7 @@ def clean(raw: RawScan) -> RawScan:
     if len(raw.faces):
         steps = (_drop_wild, _weld, _drop_bad_faces, _drop_specks, _turn_outward, _state_edges, _face_normals)
     else:
-        steps = (_drop_wild, _drop_equal_points, _drop_sparse_specks, _cloud_normals)
+        steps = (_drop_wild, _weld, _checked_cloud, _drop_sparse_specks, _cloud_normals)
     for step in steps:
         raw = step(raw)
     return raw
@@ -87,12 +87,12 @@ def _drop_wild(raw: RawScan) -> RawScan:
         distance = np.abs(raw.points - middle).max(axis=1)
         typical = np.median(distance[finite])
         near = finite & (distance <= WILD_DISTANCE * typical)
-    if not (np.isfinite(typical) and 1e-100 < typical < 1e100):
+    if not 1e-30 < typical < 1e30:  # beyond, squares of areas leave the range of float64
         raise ValueError("its points have no extent, or one that is no length")
     if not finite.all():
-        raw = _noted(raw, f"{(~finite).sum()} points with NaN or infinite coordinates dropped.")
+        raw = _noted(raw, f"Points with NaN or infinite coordinates dropped: {(~finite).sum()}.")
     if (finite & ~near).any():
-        raw = _noted(raw, f"{(finite & ~near).sum()} points far outside of the scan dropped.")
+        raw = _noted(raw, f"Points far outside of the scan dropped: {(finite & ~near).sum()}.")
     return raw if near.all() else _kept(raw, near)
 
 
@@ -104,7 +104,7 @@ def _weld(raw: RawScan) -> RawScan:
     first = np.full(len(points), len(raw.points))
     np.minimum.at(first, new_index, np.arange(len(raw.points)))
     welded = _picked(raw, first, faces)
-    return _noted(welded, f"{len(raw.points)} points welded to {len(points)}.")
+    return _noted(welded, f"Points welded: {len(raw.points)} to {len(points)}.")
 
 
 def _drop_bad_faces(raw: RawScan) -> RawScan:
@@ -113,9 +113,9 @@ def _drop_bad_faces(raw: RawScan) -> RawScan:
     kept = raw.faces[~flat]
     _, first = np.unique(np.sort(kept, axis=1), axis=0, return_index=True)
     if flat.any():
-        raw = _noted(raw, f"{flat.sum()} faces without area dropped.")
+        raw = _noted(raw, f"Faces without area dropped: {flat.sum()}.")
     if len(first) < len(kept):
-        raw = _noted(raw, f"{len(kept) - len(first)} faces dropped that were there twice.")
+        raw = _noted(raw, f"Faces that were there twice dropped: {len(kept) - len(first)}.")
     return _drop_unused(dataclasses.replace(raw, faces=kept[np.sort(first)]))
 
 
@@ -126,7 +126,7 @@ def _drop_unused(raw: RawScan) -> RawScan:
     if len(old_index) == len(raw.points):
         return raw
     unused = len(raw.points) - len(old_index)
-    return _noted(_picked(raw, old_index, faces), f"{unused} points dropped that no face uses.")
+    return _noted(_picked(raw, old_index, faces), f"Points that no face uses dropped: {unused}.")
 
 
 def _drop_specks(raw: RawScan) -> RawScan:
@@ -135,9 +135,7 @@ def _drop_specks(raw: RawScan) -> RawScan:
     small = areas < SPECK_AREA * areas.max()
     if not small.any():
         return raw
-    sentence = (
-        f"{small.sum()} separate parts dropped with less than {SPECK_AREA:.0%} of the largest one's area."
-    )
+    sentence = f"Parts with less than {SPECK_AREA:.0%} of the area of the largest dropped: {small.sum()}."
     return _noted(_kept(raw, ~small[labels]), sentence)
 
 
@@ -159,30 +157,20 @@ def _turn_outward(raw: RawScan) -> RawScan:
 def _state_edges(raw: RawScan) -> RawScan:
     """Edges of more than two faces are kept, since cutting them would open holes, but stated."""
     corners = raw.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    count = len(raw.points)
-    _, faces_per_edge = np.unique(corners.min(axis=1) * count + corners.max(axis=1), return_counts=True)
-    crowded = (faces_per_edge > 2).sum()
+    keys = corners.min(axis=1) * len(raw.points) + corners.max(axis=1)
+    _, edge, face_count = np.unique(keys, return_inverse=True, return_counts=True)
+    turns = np.bincount(edge.ravel(), np.where(corners[:, 0] < corners[:, 1], 1, -1))
+    crowded = int((face_count > 2).sum())
+    conflicting = int(((face_count == 2) & (turns != 0)).sum())
     if crowded:
-        raw = _noted(raw, f"{crowded} edges with more than two faces kept.")
-    _, same_direction = np.unique(corners[:, 0] * count + corners[:, 1], return_counts=True)
-    conflicting = (same_direction > 1).sum() - crowded
-    if conflicting > 0:
-        raw = _noted(raw, f"About {conflicting} edges whose faces have opposite windings kept.")
+        raw = _noted(raw, f"Edges with more than two faces kept: {crowded}.")
+    if conflicting:
+        raw = _noted(raw, f"Edges whose two faces have opposite windings kept: {conflicting}.")
     return raw
 
 
 def _face_normals(raw: RawScan) -> RawScan:
     return dataclasses.replace(raw, normals=vertex_normals(raw.points, raw.faces))
-
-
-def _drop_equal_points(raw: RawScan) -> RawScan:
-    _, first = np.unique(raw.points, axis=0, return_index=True)
-    if len(first) < len(raw.points):
-        raw = _noted(
-            _picked(raw, np.sort(first), raw.faces),
-            f"{len(raw.points) - len(first)} points dropped that were there twice.",
-        )
-    return _checked_cloud(raw)
 
 
 def _checked_cloud(raw: RawScan) -> RawScan:
@@ -205,7 +193,7 @@ def _drop_sparse_specks(raw: RawScan) -> RawScan:
     if not small.any():
         return raw
     dropped = small[labels]
-    sentence = f"{dropped.sum()} points dropped in {small.sum()} groups apart from the rest."
+    sentence = f"Points apart from the rest dropped: {dropped.sum()} (groups: {small.sum()})."
     return _checked_cloud(_noted(_kept(raw, ~dropped), sentence))
 
 

@@ -31,7 +31,7 @@ def remove_object(scan: Scan) -> Scan:
     if green.all():
         raise ValueError(f"{scan.name}: every point is green (G > max(R, 20)), so that no hand would be left")
     return scan.subset(~green).with_repair(
-        f"{green.sum()} green points of an object dropped: G > max(R, 20)."
+        f"Green points of an object (G > max(R, 20)) dropped: {green.sum()}."
     )
 
 
@@ -51,4 +51,4 @@ def crop_halfspace(scan: Scan, point: Float[np.ndarray, "3"], normal: Float[np.n
     kept = (scan.points - point) @ normal >= 0
     if kept.all():
         return scan
-    return scan.subset(kept).with_repair(f"{(~kept).sum()} points beyond a plane dropped.")
+    return scan.subset(kept).with_repair(f"Points beyond a plane dropped: {(~kept).sum()}.")

@@ -118,7 +118,7 @@ def _rows_of_any_width(element: Element, values: np.ndarray) -> tuple[Columns, i
                 parts.setdefault(column.name + "#", []).append(values[position : position + 1])
                 position += 1
             if position + length > len(values):
-                raise ValueError(f"the body ends within the element '{element.name}'")
+                raise ValueError(f"the file is cut off within the element '{element.name}'")
             parts.setdefault(column.name, []).append(values[position : position + length])
             position += length
     return {name: np.concatenate(part) for name, part in parts.items()}, position
@@ -126,9 +126,7 @@ def _rows_of_any_width(element: Element, values: np.ndarray) -> tuple[Columns, i
 
 def _list_length(column: Property, length: np.ndarray, left: int) -> int:
     if len(length) == 0 or not 0 <= length[0] <= left:
-        raise ValueError(
-            f"the list '{column.name}' is longer than the rest of the file, or shorter than nothing"
-        )
+        raise ValueError(f"the list '{column.name}' does not fit: the file is cut off or damaged")
     return int(length[0])
 
 
@@ -185,7 +183,7 @@ def _records_of_any_size(element: Element, order: Encoding, body: memoryview) ->
                 parts.setdefault(column.name + "#", []).append(told)
                 position += count_kind.itemsize
             if position + length * kind.itemsize > len(body):
-                raise ValueError(f"the file ends within the element '{element.name}'")
+                raise ValueError(f"the file is cut off within the element '{element.name}'")
             parts.setdefault(column.name, []).append(np.frombuffer(body, kind, length, position))
             position += length * kind.itemsize
     return {name: np.concatenate(part) for name, part in parts.items()}, position

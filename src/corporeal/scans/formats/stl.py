@@ -29,7 +29,7 @@ def parse_stl(data: bytes) -> RawScan:
     if data.lstrip()[:5].lower() == b"solid" and _FACET.search(data):
         return _ascii(data)
     if told > 0 and len(data) > needed:
-        return _binary(data, told, (f"{len(data) - needed} bytes after the last triangle were ignored.",))
+        return _binary(data, told, (f"Bytes after the last triangle ignored: {len(data) - needed}.",))
     if told < 0:
         raise ValueError("expected an STL: either 'solid' and facets, or a header of 84 bytes")
     raise ValueError(
