@@ -6,9 +6,7 @@ from corporeal.model.files import open_model
 from corporeal.model.pose import CoefficientPose, FullPose
 
 hand = open_model("hand")
-print(
-    f"{hand.name}: {hand.vertex_count} vertices, {hand.joint_count} joints, {hand.shape_count} shape directions"
-)
+print(f"{hand.name}: {hand.vertex_count} vertices, {hand.joint_count} joints, {hand.shape_count} shapes")
 
 # Three hands: the mean pose moved along the first two principal components, with different shapes.
 coefficients = torch.tensor([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])

@@ -73,7 +73,14 @@ def _surface_to_scan(rng, sigma, robust_scale=np.inf, tangential=1.0):
 
 def _coupling(rng, sigma):
     vertices, faces = _sheet(rng)
-    term = EdgeCoupling("coupling", ("free", "model"), unique_edges(faces), len(vertices), sigma=sigma)
+    term = EdgeCoupling(
+        "coupling",
+        ("free", "model"),
+        unique_edges(faces),
+        len(vertices),
+        sigma=sigma,
+        position_sigma=9 * sigma,
+    )
     return term, {"model": vertices, "free": vertices + rng.normal(scale=1e-3, size=vertices.shape)}
 
 

@@ -61,6 +61,7 @@ class FreeStage:
         robust_scale: Geman-McClure scale in metres.
         minimum_cosine: normals must agree at least so much to be matched.
         coupling_sigma: standard deviation of an edge's difference from the model's, as a share of its length.
+        position_sigma: standard deviation of a vertex's distance from the model's in metres.
         pose_prior_scale: standard deviations of the pose prior are multiplied by it.
         iterations: most solver steps.
     """
@@ -71,6 +72,7 @@ class FreeStage:
     robust_scale: float
     minimum_cosine: float
     coupling_sigma: float
+    position_sigma: float
     pose_prior_scale: float
     iterations: int
 
@@ -98,6 +100,6 @@ class RegistrationOptions:
         SurfaceStage(5000, 3000, 1e-3, 5e-3, 0.4, 0.2, 30e-3, 2.0, 15),
     )
     free: tuple[FreeStage, ...] = (
-        FreeStage(8000, 8000, 1e-3, 4e-3, 0.4, 0.10, 2.0, 4),
-        FreeStage(16000, 16000, 0.5e-3, 2e-3, 0.5, 0.10, 3.0, 5),
+        FreeStage(8000, 8000, 1e-3, 4e-3, 0.4, 0.10, 10e-3, 2.0, 4),
+        FreeStage(16000, 16000, 0.5e-3, 2e-3, 0.5, 0.10, 10e-3, 3.0, 5),
     )

@@ -89,7 +89,7 @@ class Fitter:
         options = DistanceOptions(stage.sigma, stage.robust_scale, 1.0, stage.minimum_cosine)
         terms = self._priors(stage.pose_prior_scale)
         terms.append(self._data_term(FREE, start, stage.points, stage.observations, options))
-        terms.append(self._coupling(stage.coupling_sigma))
+        terms.append(self._coupling(stage))
         problem = Problem(terms, self.fields.derive, self.fields.differentiate, free_field=FREE)
         limits = DoglegOptions(iterations=stage.iterations, relative_decrease=1e-3)
         return solve(problem, State(start, vertices), limits)
@@ -125,12 +125,18 @@ class Fitter:
             "scan to surface", field, self.surface, near.positions, weights, near.normals, options
         )
 
-    def _coupling(self, sigma: float) -> EdgeCoupling:
+    def _coupling(self, stage: FreeStage) -> EdgeCoupling:
         edges = unique_edges(self.model.faces)
         ends = self.model.template[edges]
         lengths = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
         return EdgeCoupling(
-            "coupling", (FREE, MODEL), edges, self.model.vertex_count, sigma=sigma, weights=1 / lengths**2
+            "coupling",
+            (FREE, MODEL),
+            edges,
+            self.model.vertex_count,
+            sigma=stage.coupling_sigma,
+            position_sigma=stage.position_sigma,
+            weights=1 / lengths**2,
         )
 
     def _solve_model(self, terms: list[Term], start: np.ndarray, iterations: int) -> Solution:

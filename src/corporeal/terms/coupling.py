@@ -23,7 +23,7 @@ def edge_laplacian(
 
 
 class EdgeCoupling:
-    """Squared differences between the edges of two fields, in units of sigma."""
+    """Squared differences between the edges (and, weakly, the places) of two fields, in units of sigma."""
 
     def __init__(
         self,
@@ -33,6 +33,7 @@ class EdgeCoupling:
         vertex_count: int,
         *,
         sigma: float,
+        position_sigma: float = np.inf,
         weights: Float[np.ndarray, " E"] | None = None,
     ) -> None:
         """Couple ``fields`` = (free, model), both (V, 3) in metres.
@@ -43,19 +44,22 @@ class EdgeCoupling:
             edges: pairs of vertices.
             vertex_count: V.
             sigma: standard deviation of an edge's difference in metres.
+            position_sigma: standard deviation of a vertex's distance from the model's in metres. Edges alone
+                do not see the model drift away as a whole, which leaves its translation undetermined.
             weights: base weight per edge; ones if None.
         """
         self.name = name
         self._free, self._model = fields
         base = np.ones(len(edges)) if weights is None else weights
-        self._laplacian = edge_laplacian(edges, base / sigma**2, vertex_count)
+        laplacian = edge_laplacian(edges, base / sigma**2, vertex_count)
+        self._curvature = (laplacian + sp.identity(vertex_count) / position_sigma**2).tocsr()
 
     def at(self, fields: Fields) -> EdgeCouplingValue:
         """Evaluate."""
         difference = fields[self._free] - fields[self._model]
-        slope = PerAxisCurvature(self._laplacian).times(difference.reshape(-1, 1)).reshape(-1, 3)
+        slope = PerAxisCurvature(self._curvature).times(difference.reshape(-1, 1)).reshape(-1, 3)
         return EdgeCouplingValue(
-            0.5 * float(np.sum(difference * slope)), slope, self._laplacian, (self._free, self._model)
+            0.5 * float(np.sum(difference * slope)), slope, self._curvature, (self._free, self._model)
         )
 
 
@@ -65,14 +69,14 @@ class EdgeCouplingValue:
 
     cost: float
     slope: Float[np.ndarray, "V 3"]
-    laplacian: sp.csr_matrix
+    curvature: sp.csr_matrix
     names: tuple[str, str]
 
     def quadratic(self) -> Quadratic:
         """Exact: the term is quadratic."""
         free, model = self.names
-        own = PerAxisCurvature(self.laplacian)
+        own = PerAxisCurvature(self.curvature)
         return Quadratic(
             {free: self.slope, model: -self.slope},
-            {(free, free): own, (model, model): own, (free, model): PerAxisCurvature(-self.laplacian)},
+            {(free, free): own, (model, model): own, (free, model): PerAxisCurvature(-self.curvature)},
         )
