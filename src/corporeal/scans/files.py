@@ -91,7 +91,7 @@ def _parsed(path: Path) -> RawScan:
         raise ScanFileError(f"{path.name}: cannot be read as {kind}: {error}") from error
     except Exception as error:
         # A damaged file can make the parsers of glTF fail in any way; all of them mean the same to the user.
-        trouble = f"{type(error).__name__}: {error}"
+        trouble = f"{type(error).__name__}: {str(error)[:80]}"
         raise ScanFileError(
             f"{path.name}: damaged, or no {kind} at all ({trouble}); save it again"
         ) from error

@@ -49,7 +49,8 @@ def parse_ply(data: bytes) -> RawScan:
 
 
 def _stacked(columns: Columns, names: tuple[str, ...]) -> Float64[np.ndarray, "N c"]:
-    return np.stack([columns[name].astype(np.float64) for name in names], axis=1)
+    with np.errstate(invalid="ignore"):  # signalling NaN: cleaning drops such points and says so
+        return np.stack([columns[name].astype(np.float64) for name in names], axis=1)
 
 
 def _colours(vertices: Columns, kinds: dict[str, str]) -> np.ndarray | None:

@@ -40,7 +40,9 @@ def parse_stl(data: bytes) -> RawScan:
 
 def _binary(data: bytes, count: int, notes: tuple[str, ...]) -> RawScan:
     triangles = np.frombuffer(data, dtype=_TRIANGLE, count=count, offset=_HEADER_BYTES)
-    return _soup(triangles["corners"].astype(np.float64).reshape(-1, 3), notes)
+    with np.errstate(invalid="ignore"):  # signalling NaN: cleaning drops such points and says so
+        corners = triangles["corners"].astype(np.float64)
+    return _soup(corners.reshape(-1, 3), notes)
 
 
 def _ascii(data: bytes) -> RawScan:
