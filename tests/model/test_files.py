@@ -168,14 +168,15 @@ def test_more_expressions_than_the_layout_holds_are_refused(tmp_path, rng):
     ("name", "options", "message"),
     [
         ("a.obj", {}, "unknown ending"),
-        ("missing/a.npz", {}, "cannot be written"),
+        ("taken/a.npz", {}, "cannot be written"),
         ("a.npz", {"layout": "official"}, "no official family"),
     ],
 )
 def test_what_cannot_be_written_is_said(name, options, message, tmp_path, rng):
+    (tmp_path / "taken").write_text("a file where a folder should be")
     with pytest.raises(ModelFileError, match=message):
         save_model(full_model(rng), tmp_path / name, **options)
-    assert not list(tmp_path.iterdir())
+    assert [file.name for file in tmp_path.iterdir()] == ["taken"]
 
 
 @pytest.mark.parametrize(

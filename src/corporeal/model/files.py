@@ -81,7 +81,7 @@ def save_model(
 
     Args:
         model: what to write.
-        path: where to; its folder must exist.
+        path: where to; its folder is made where it is missing.
         layout: "native", or "official" for the family's keys alone.
         precision: in which shape, expression and pose directions are stored. float64 is exact; float32 rounds
             by 6e-8 and float16 by 5e-4 of each number (0.05 mm at a displacement of 10 cm).

@@ -3,50 +3,34 @@
 from __future__ import annotations
 
 import io
-import os
-import tempfile
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 from numpy.lib import format as npy
+
+from corporeal.atomic import write_bytes
 
 # Twice the largest official file (SMPL-X in float64 with 400 directions) with room to spare.
 SIZE_LIMIT = 2**31
 _FIXED_TIME = (1980, 1, 1, 0, 0, 0)
 
 
-def write_atomically(path: Path, write: Callable[[IO[bytes]], None]) -> None:
-    """Let ``write`` fill a temporary file beside ``path``, then rename it: readers never see half a file."""
-    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    try:
-        with os.fdopen(handle, "wb") as stream:
-            write(stream)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
-        raise
-
-
 def write_archive(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     """Write arrays as a compressed ``.npz``; the same arrays give the same bytes (no times in it)."""
-
-    def write(stream: IO[bytes]) -> None:
-        with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
-            for key in sorted(arrays):
-                entry = zipfile.ZipInfo(f"{key}.npy", date_time=_FIXED_TIME)
-                entry.compress_type = zipfile.ZIP_DEFLATED
-                entry.external_attr = 0o644 << 16
-                entry.create_system = 3
-                payload = io.BytesIO()
-                # C order whatever the array's own: equal content, equal bytes.
-                npy.write_array(payload, np.array(arrays[key], order="C"), allow_pickle=False)
-                archive.writestr(entry, payload.getvalue())
-
-    write_atomically(path, write)
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w") as archive:
+        for key in sorted(arrays):
+            entry = zipfile.ZipInfo(f"{key}.npy", date_time=_FIXED_TIME)
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            entry.external_attr = 0o644 << 16
+            entry.create_system = 3
+            payload = io.BytesIO()
+            # C order whatever the array's own: equal content, equal bytes.
+            npy.write_array(payload, np.array(arrays[key], order="C"), allow_pickle=False)
+            archive.writestr(entry, payload.getvalue())
+    write_bytes(path, content.getvalue())
 
 
 class Archive:

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from corporeal.model.formats.archive import Archive, array_of_member, write_atomically
+from corporeal.atomic import write_bytes
+from corporeal.model.formats.archive import Archive, array_of_member
 from corporeal.model.formats.fields import Source
 from corporeal.model.formats.plain_arrays import array_of
 from corporeal.model.formats.unpickler import read_pickle
@@ -62,4 +63,4 @@ def source_of(content: bytes) -> Source:
 def write_pickle(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     """Write a pickled dictionary of plain numpy arrays, which smplx reads without chumpy."""
     plain = {key: np.array(arrays[key], order="C") for key in sorted(arrays)}
-    write_atomically(path, lambda stream: pickle.dump(plain, stream, protocol=4))
+    write_bytes(path, pickle.dumps(plain, protocol=4))

@@ -1,0 +1,79 @@
+"""``corporeal convert``: model files between the official layouts and ours, pickles and archives."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import tyro
+from rich.console import Console
+
+from corporeal.cli.errors import CommandError
+from corporeal.cli.files import write_json
+from corporeal.cli.info import described
+from corporeal.model.files import LeftHandWarning, ModelFileError, load_model, save_model
+
+
+@dataclass(frozen=True)
+class Convert:
+    """Convert a model file: research pickles to archives, official layouts to ours and back.
+
+    Attributes:
+        source: MANO, SMPL, SMPL+H, SMPL-X or FLAME file (.pkl or .npz), or one of ours.
+        target: file to write, .npz or .pkl.
+        right: for a left-hand MANO file, the right-hand one: finds the known fault of left hands.
+        repair_left: repair that fault where it is found.
+        layout: native keeps everything; official writes the family's keys alone.
+        precision: in which shape, expression and pose directions are stored.
+        json: also write the machine-readable result to this file.
+    """
+
+    source: tyro.conf.Positional[Path]
+    target: tyro.conf.Positional[Path]
+    right: Path | None = None
+    repair_left: bool = False
+    layout: Literal["native", "official"] = "native"
+    precision: Literal["float64", "float32", "float16"] = "float64"
+    json: Path | None = None
+
+
+def run(config: Convert) -> int:
+    """Read one model and write it.
+
+    Raises:
+        CommandError: the source cannot be read or the target not be written, or a wrong call.
+    """
+    _check_call(config)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", LeftHandWarning)
+        try:
+            model = load_model(config.source, right=config.right, repair_left=config.repair_left)
+            save_model(model, config.target, layout=config.layout, precision=config.precision)
+        except ModelFileError as error:
+            raise CommandError(f"convert: {error}") from error
+    messages = [str(warning.message) for warning in caught]
+    console = Console(stderr=True)
+    for message in [*messages, f"{config.target}: written, {config.target.stat().st_size / 1e6:.1f} MB"]:
+        console.print(message, highlight=False, markup=False, soft_wrap=True)
+    if config.json is not None:
+        content = {
+            "source": str(config.source),
+            "target": str(config.target),
+            "layout": config.layout,
+            "precision": config.precision,
+            "model": described(model),
+            "warnings": messages,
+        }
+        write_json(config.json, content)
+    return 0
+
+
+def _check_call(config: Convert) -> None:
+    if config.target.suffix not in (".npz", ".pkl"):
+        raise CommandError(f"convert: {config.target}: name a target that ends in .npz or .pkl", 2)
+    if config.source.resolve() == config.target.resolve():
+        raise CommandError(f"convert: {config.target} is the source itself; name another target", 2)
+    if config.repair_left and config.right is None:
+        raise CommandError("convert: --repair-left needs --right FILE to compare with", 2)
