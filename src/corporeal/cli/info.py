@@ -43,7 +43,7 @@ def run(config: Info) -> int:
     content = _model_content(config.file) if is_model else _scan_content(config.file)
     Console().print(_table(content), highlight=False)
     for warning in content["warnings"]:
-        Console(stderr=True).print(warning, highlight=False, markup=False)
+        Console(stderr=True).print(warning, highlight=False, markup=False, soft_wrap=True)
     if config.json is not None:
         write_json(config.json, content)
     return 0
