@@ -2,7 +2,7 @@
 
 The derivative of a vertex by a joint's rotation is the cross product with the part of the vertex that the
 joint's descendants carry, plus the derivative of the pose correctives. Rotations are differentiated through
-the left Jacobian of SO(3) (Sola et al. 2018, "A micro Lie theory", equation 145), which is smooth at every angle.
+the left Jacobian of SO(3) (Sola et al. 2018, "A micro Lie theory", equation 145), smooth at every angle.
 """
 
 from __future__ import annotations
@@ -95,8 +95,8 @@ class JointState(NamedTuple):
     @classmethod
     def blank(cls, K: int, P: int) -> JointState:
         """Room for K joints and P pose features."""
-        matrices = (np.empty((K, 3, 3)) for _ in range(3))
-        return cls(*matrices, np.empty((K, 3)), np.empty((K, 3)), np.empty((K, 12)), np.empty(P))
+        local, left, turned = np.empty((3, K, 3, 3))
+        return cls(local, left, turned, np.empty((K, 3)), np.empty((K, 3)), np.empty((K, 12)), np.empty(P))
 
     def frames(self, translation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Joints (K, 3) and T_world_joint (K, 4, 4)."""
