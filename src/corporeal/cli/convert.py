@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 from rich.console import Console
@@ -30,8 +30,8 @@ class Convert:
         json: also write the machine-readable result to this file.
     """
 
-    source: tyro.conf.Positional[Path]
-    target: tyro.conf.Positional[Path]
+    source: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="IN")]
+    target: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUT")]
     right: Path | None = None
     repair_left: bool = False
     layout: Literal["native", "official"] = "native"

@@ -15,6 +15,8 @@ from corporeal.atomic import write_bytes
 # Twice the largest official file (SMPL-X in float64 with 400 directions) with room to spare.
 SIZE_LIMIT = 2**31
 _FIXED_TIME = (1980, 1, 1, 0, 0, 0)
+# A full SMPL-X takes 5 s at level 4 and 19 s at level 6, for 5 % less.
+_COMPRESSION = 4
 
 
 def write_archive(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
@@ -29,7 +31,7 @@ def write_archive(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
             payload = io.BytesIO()
             # C order whatever the array's own: equal content, equal bytes.
             npy.write_array(payload, np.array(arrays[key], order="C"), allow_pickle=False)
-            archive.writestr(entry, payload.getvalue())
+            archive.writestr(entry, payload.getvalue(), compresslevel=_COMPRESSION)
     write_bytes(path, content.getvalue())
 
 
