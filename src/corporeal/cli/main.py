@@ -16,7 +16,6 @@ Command = (
     | Annotated[info.Info, tyro.conf.subcommand("info")]
     | Annotated[convert.Convert, tyro.conf.subcommand("convert")]
 )
-_RUN = {register.Register: register.run, info.Info: info.run, convert.Convert: convert.run}
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -27,19 +26,27 @@ def main(arguments: list[str] | None = None) -> int:
         return 0
     try:
         config = tyro.cli(
-            Command,  # type: ignore[arg-type]
+            Command,
             prog="corporeal",
             description="Learn, register, fit and export articulated surface models.",
             args=arguments,
             config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes),
         )
-        return _RUN[type(config)](config)
+        return _run(config)
     except CommandError as error:
         print(f"corporeal: {error}", file=sys.stderr)
         return error.status
     except KeyboardInterrupt:
         print("corporeal: interrupted", file=sys.stderr)
         return 130
+
+
+def _run(config: register.Register | info.Info | convert.Convert) -> int:
+    if isinstance(config, register.Register):
+        return register.run(config)
+    if isinstance(config, info.Info):
+        return info.run(config)
+    return convert.run(config)
 
 
 if __name__ == "__main__":

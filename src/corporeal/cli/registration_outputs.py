@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from corporeal.export.gltf import write_glb
 from corporeal.export.meshes import write_ply
-from corporeal.export.overview import write_overview
+from corporeal.export.overview import Overview, write_overview
 from corporeal.registration.files import save_registration
 from corporeal.registration.registration import Registration
 
@@ -52,18 +53,18 @@ def write_outputs(result: Registration, folder: Path, row: dict[str, Any]) -> di
         paths["hand.glb"], result.model, parameters.shape, parameters.pose, parameters.translation,
         correctives=result.correctives,
     )  # fmt: skip
-    write_overview(
-        paths["overview.png"],
+    overview = Overview(
         scan_points=scan.points,
-        scan_faces=scan.faces,
+        scan_faces=None if scan.is_point_cloud else scan.faces,
         scan_normals=scan.normals,
         model_vertices=result.model_vertices,
         registration_vertices=result.vertices,
         faces=faces,
-        title=_title(row),
         point_errors_mm=np.where(result.distances.scored, 1e3 * result.distances.metres, np.nan),
         views=_views(result),
+        title=_title(row),
     )
+    write_overview(paths["overview.png"], overview)
     return {name: str(path) for name, path in paths.items()}
 
 
@@ -79,8 +80,6 @@ def _title(row: dict[str, Any]) -> tuple[str, ...]:
 def _views(result: Registration) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
     """Palm and back of the hand as (view direction, up) in the scan's frame; up is where the fingers point."""
     model, root = result.model, result.parameters.pose[0]
-    from scipy.spatial.transform import Rotation
-
     R_world_root = Rotation.from_rotvec(root).as_matrix()
     along = model.template.mean(0) - np.asarray(model.joint_regressor @ model.template)[0]
     fingers = R_world_root @ (along / np.linalg.norm(along))

@@ -252,9 +252,8 @@ def _expand_coefficients(block: PoseBlock, coefficients: Tensor) -> Float[Tensor
         raise ValueError(
             f"pose: {count} coefficients for the {len(block.components)} components of block {block.name!r}"
         )
-    options = {"dtype": coefficients.dtype, "device": coefficients.device}
-    components = torch.as_tensor(block.components[:count], **options)
-    return coefficients @ components + torch.as_tensor(block.origin, **options)
+    components = torch.as_tensor(block.components[:count]).to(coefficients)
+    return coefficients @ components + torch.as_tensor(block.origin).to(coefficients)
 
 
 def _check_consistency(model: SurfaceModel) -> None:

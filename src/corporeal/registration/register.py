@@ -17,7 +17,7 @@ from corporeal.registration.measures import beyond_cut, scan_to_mesh
 from corporeal.registration.options import RegistrationOptions
 from corporeal.registration.registration import FailedRegistration, Registration
 from corporeal.registration.search import search_starts
-from corporeal.registration.stages import FREE, Fitter, MeasuredLandmarks
+from corporeal.registration.stages import Fitter, MeasuredLandmarks
 from corporeal.registration.starts import landmark_start
 from corporeal.registration.target import Target
 from corporeal.scans.scan import Scan
@@ -88,8 +88,8 @@ def register(
             vector = solution.state.parameters
     with clock.stage("free vertices"):
         vertices = fitter.fields.derive(vector)[MODEL]
-        for stage in options.free:
-            solution = fitter.fit_free(vector, vertices, stage)
+        for free_stage in options.free:
+            solution = fitter.fit_free(vector, vertices, free_stage)
             if not solution.outcome.usable or solution.state.free is None:
                 return FailedRegistration(fitter.target.scan, solution.outcome.value, clock.seconds)
             vector, vertices = solution.state.parameters, solution.state.free
@@ -198,6 +198,3 @@ class _Clock:
             yield
         finally:
             self.seconds[name] = time.perf_counter() - begun
-
-
-__all__ = ["FREE", "LandmarkEvidence", "model_of_side", "register"]

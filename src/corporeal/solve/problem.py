@@ -40,7 +40,10 @@ class Quadratic:
 class TermValue(Protocol):
     """A term at one point; what the cost needed (closest points, say) is kept for the quadratic."""
 
-    cost: float
+    @property
+    def cost(self) -> float:
+        """Half the weighted squared residuals."""
+        ...
 
     def quadratic(self) -> Quadratic:
         """The local quadratic."""
@@ -51,7 +54,10 @@ class TermValue(Protocol):
 class Term(Protocol):
     """A squared term. Its weight is 1 / sigma^2 with a sigma that has a unit."""
 
-    name: str
+    @property
+    def name(self) -> str:
+        """Unique within a problem."""
+        ...
 
     def at(self, fields: Fields) -> TermValue:
         """Evaluate at the given fields; metres, radians and unit-variance coefficients."""
