@@ -10,8 +10,12 @@ from jaxtyping import Float, Int
 from corporeal.geometry import closest_points_kernels as kernels
 from corporeal.geometry import surface_tree_kernels as tree_kernels
 
-REBUILD_GROWTH = 1.5
-"""A refitted tree is rebuilt when the area of its boxes, as a multiple of the surface, has grown by this."""
+REBUILD_GROWTH = 2.0
+"""A refitted tree is rebuilt when the area of its boxes, as a multiple of the surface's, has grown by this.
+
+Measured on a twisted torus of 13,776 faces: grown by 1.3, 2.0, 3.2 and 5.4, the old tree takes 1.1, 1.26, 1.5
+and 2.1 times as long to answer as a new one; a build takes half as long as 50,000 answers.
+"""
 
 SORT_FROM = 1024
 """From this number of points on it pays to sort them before they are asked, and to ask on all cores."""

@@ -11,7 +11,7 @@ SHRINK = np.float32(1 - 4e-6)
 CHUNK = 256
 ZERO = np.float32(0)
 CELLS = 32  # per axis, of the grid that sorts points
-SLIVER = 1e-6  # squared sine of the angle at corner a, below which the regions' signs cannot be trusted
+SLIVER = 1e-4  # squared sine of the angle at corner a, below which the regions' signs lose too many digits
 
 
 @njit(cache=True, error_model="numpy")
@@ -25,10 +25,34 @@ def closest_on_segment(px, py, pz, ex, ey, ez, ee):
 
 
 @njit(cache=True, error_model="numpy")
-def closest_on_sliver(px, py, pz, row, v, w, squared):
-    """The best of a candidate inside and the three edges, for triangles (almost) without area."""
-    if not (v >= 0 and w >= 0 and v + w <= 1):
-        v, w, squared = 0.0, 0.0, px * px + py * py + pz * pz
+def closest_inside_sliver(px, py, pz, row):
+    """The foot on the plane, or corner a, by Gram-Schmidt: it keeps the digits that determinants lose."""
+    ax, ay, az, bx, by, bz = row[3], row[4], row[5], row[6], row[7], row[8]
+    aa, bb = row[9], row[11]
+    swapped = bb > aa
+    if swapped:
+        ax, ay, az, bx, by, bz, aa = bx, by, bz, ax, ay, az, bb
+    v, w = 0.0, 0.0
+    if aa > 0:
+        along = row[10] / aa
+        hx, hy, hz = bx - along * ax, by - along * ay, bz - along * az
+        again = (hx * ax + hy * ay + hz * az) / aa
+        hx, hy, hz = hx - again * ax, hy - again * ay, hz - again * az
+        w = (px * hx + py * hy + pz * hz) / (hx * hx + hy * hy + hz * hz)
+        v = (px * ax + py * ay + pz * az) / aa - w * (along + again)
+        if not (v >= 0 and w >= 0 and v + w <= 1):
+            v, w = 0.0, 0.0
+    rx, ry, rz = px - v * ax - w * bx, py - v * ay - w * by, pz - v * az - w * bz
+    squared = rx * rx + ry * ry + rz * rz
+    if swapped:
+        return w, v, squared
+    return v, w, squared
+
+
+@njit(cache=True, error_model="numpy")
+def closest_on_sliver(px, py, pz, row):
+    """The best of the foot inside and the three edges, for triangles (almost) without area."""
+    v, w, squared = closest_inside_sliver(px, py, pz, row)
     s, here = closest_on_segment(px, py, pz, row[3], row[4], row[5], row[9])
     if here < squared:
         v, w, squared = s, 0.0, here
@@ -51,6 +75,8 @@ def closest_on_triangle(x, y, z, row):
     """
     px, py, pz = x - row[0], y - row[1], z - row[2]
     ab, cross, ac = row[9], row[10], row[11]
+    if ab * ac - cross * cross <= SLIVER * ab * ac:
+        return closest_on_sliver(px, py, pz, row)
     d1 = row[3] * px + row[4] * py + row[5] * pz
     d2 = row[6] * px + row[7] * py + row[8] * pz
     d3, d4, d5, d6 = d1 - ab, d2 - cross, d1 - cross, d2 - ac
@@ -78,10 +104,7 @@ def closest_on_triangle(x, y, z, row):
     rx = px - v * row[3] - w * row[6]
     ry = py - v * row[4] - w * row[7]
     rz = pz - v * row[5] - w * row[8]
-    squared = rx * rx + ry * ry + rz * rz
-    if ab * ac - cross * cross <= SLIVER * ab * ac:
-        return closest_on_sliver(px, py, pz, row, v, w, squared)
-    return v, w, squared
+    return v, w, rx * rx + ry * ry + rz * rz
 
 
 @njit(cache=True, error_model="numpy")
