@@ -248,6 +248,15 @@ def test_pose_blocks_hold_every_joint_but_the_root_once(official, name, tmp_path
         np.testing.assert_allclose(found.component_deviations, arrays[f"hands_coeffs{suffix}"].std(axis=0))
 
 
+def test_unknown_deviations_are_said_to_be_unknown(official, tmp_path, rng):
+    arrays = official.official_arrays("smplh", rng)
+    del arrays["hands_coeffsl"]
+    model = load_model(official.write_npz(tmp_path / "a.npz", arrays))
+    assert (model.block("left_hand").component_deviations == 1).all()
+    assert "unknown" in model.notes["statistics"]
+    assert (model.block("right_hand").component_deviations != 1).all()
+
+
 def test_families_are_trees_with_the_joints_of_the_originals():
     counts = {family.name: len(family.parents) for family in FAMILIES}
     assert counts == {"mano": 16, "smpl": 24, "smplh": 52, "smplx": 55, "flame": 5}

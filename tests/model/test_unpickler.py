@@ -144,6 +144,27 @@ def test_exponential_keys_are_refused():
         read_pickle(b"}" + doubled + b"Ns.")
 
 
+@pytest.mark.parametrize(
+    "content",
+    [
+        pytest.param(
+            b"(" + b"I1\nI2\n\x86" * 40_000 + b"l\x85q\x000" + b"ccollections\nOrderedDict\nq\x010"
+            + b"h\x01h\x00R0" * 10_000 + b"N.",
+            id="one list copied into ten thousand dictionaries",
+        ),
+        pytest.param(
+            b"\x8b" + struct.pack("<i", 10**7) + b"\x7f" * 10**7 + b"q\x000}(" + b"h\x00N" * 50_000 + b"u.",
+            id="a giant number as key, again and again",
+        ),
+    ],
+)  # fmt: skip
+def test_work_that_is_repeated_is_bounded(content):
+    start = time.perf_counter()
+    with pytest.raises(RefusedPickleError):
+        read_pickle(content)
+    assert time.perf_counter() - start < 5
+
+
 def _array_state(shape, dtype, data, fortran=False):
     record = Record("ndarray", ())
     record.state = (1, shape, dtype, fortran, data)
@@ -202,6 +223,24 @@ def test_sparse_matrices_with_wrong_pointers_are_refused(change):
     }
     with pytest.raises(ValueError, match=r"sparse|indices|dimensions"):
         array_of(record)
+
+
+def test_shapes_made_of_arrays_are_refused():
+    # Eight references per level: 8^40 steps if they were followed.
+    one = _array_state((), _dtype("i8"), struct.pack("<q", 1))
+    for _ in range(40):
+        one = _array_state((one,) * 8, _dtype("i8"), struct.pack("<q", 1))
+    start = time.perf_counter()
+    with pytest.raises(ValueError, match="no whole number"):
+        array_of(one)
+    assert time.perf_counter() - start < 1
+
+
+def test_shapes_of_numpy_numbers_are_understood():
+    state = {"a": np.arange(6.0), "newshape": (np.int64(2), 3)}
+    record = Record("chumpy reshape", ())
+    record.state = {key: read_pickle(pickle.dumps(value)) for key, value in state.items()}
+    np.testing.assert_array_equal(array_of(record), np.arange(6.0).reshape(2, 3))
 
 
 def test_chumpy_arrays_nested_without_end_are_refused():

@@ -12,8 +12,8 @@ from numpy.lib import format as npy
 
 from corporeal.atomic import write_bytes
 
-# Twice the largest official file (SMPL-X in float64 with 400 directions) with room to spare.
-SIZE_LIMIT = 2**31
+# Four times the largest official file (SMPL-X in float64 with 400 directions).
+SIZE_LIMIT = 2**30
 _FIXED_TIME = (1980, 1, 1, 0, 0, 0)
 # A full SMPL-X takes 5 s at level 4 and 19 s at level 6, for 5 % less.
 _COMPRESSION = 4

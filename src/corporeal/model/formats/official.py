@@ -25,7 +25,8 @@ def read_official(source: Source) -> SurfaceModel:
     """Read a file of one of the five families; which one is told from its kinematic tree.
 
     The hand statistics count coefficients from the mean, as the families do (``flat_hand_mean=False`` of
-    smplx).
+    smplx). Where a file has components but no ``hands_coeffs``, their deviations are unknown: they are set to 1
+    and ``notes`` says so.
 
     Raises:
         ValueError: a key is missing, its content does not fit, or the tree is of no known family.
@@ -54,10 +55,7 @@ def read_official(source: Source) -> SurfaceModel:
         side=_side_of_fingers(core) if family.single_hand else None,
         pose_blocks=tuple(_read_block(source, layout) for layout in family.blocks),
         landmarks=_read_landmarks(source, core) if family.expressions else {},
-        notes={
-            "source": f"file in the official layout of {family.title}",
-            "licence": "the terms under which that file was obtained",
-        },
+        notes=_notes(source, family),
     )
 
 
@@ -117,6 +115,21 @@ def _read_block(source: Source, layout: BlockLayout) -> PoseBlock:
         coefficients = numbers(source, f"hands_coeffs{layout.hand_suffix}", (None, len(components)))
         deviations = coefficients.std(axis=0) if len(coefficients) else deviations
     return PoseBlock(layout.name, layout.joints, mean, components, deviations, mean_included=True)
+
+
+def _notes(source: Source, family: Family) -> dict[str, str]:
+    notes = {
+        "source": f"file in the official layout of {family.title}",
+        "licence": "the terms under which that file was obtained",
+    }
+    suffixes = [layout.hand_suffix for layout in family.blocks if layout.hand_suffix is not None]
+    if any(
+        f"hands_components{s}" in source.names and f"hands_coeffs{s}" not in source.names for s in suffixes
+    ):
+        notes["statistics"] = (
+            "the file has no hands_coeffs: deviations of hand components are unknown, 1 stands"
+        )
+    return notes
 
 
 def _read_landmarks(source: Source, core: CoreArrays) -> dict[str, LandmarkSet]:

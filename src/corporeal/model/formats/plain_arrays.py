@@ -11,7 +11,9 @@ import scipy.sparse as sp
 
 from corporeal.model.formats.unpickler import Record
 
-_NESTING_LIMIT = 16
+# Research files need three levels: a selection from a chumpy array of an array. Every level may refer to the
+# one below more than once, so that the work grows exponentially with them.
+_NESTING_LIMIT = 5
 _PLAIN_DTYPE = re.compile(r"\?|[biufSU][0-9]{1,9}")
 
 
@@ -100,19 +102,19 @@ def _select(record: Record, depth: int) -> np.ndarray:
     chosen = _bounded(_vector(_attribute(record, "idxs"), depth), len(values))
     result = values[chosen]
     if isinstance(record.state, dict) and "preferred_shape" in record.state:
-        return result.reshape(_lengths(record.state["preferred_shape"], depth))
+        return result.reshape(_target_shape(record.state["preferred_shape"], depth))
     return result
 
 
 def _reshape(record: Record, depth: int) -> np.ndarray:
-    return _dense(_attribute(record, "a"), depth).reshape(_lengths(_attribute(record, "newshape"), depth))
+    shape = _target_shape(_attribute(record, "newshape"), depth)
+    return _dense(_attribute(record, "a"), depth).reshape(shape)
 
 
 def _transpose(record: Record, depth: int) -> np.ndarray:
     axes = record.state.get("axes") if isinstance(record.state, dict) else None
-    return np.transpose(
-        _dense(_attribute(record, "a"), depth), None if axes is None else _lengths(axes, depth)
-    )
+    array = _dense(_attribute(record, "a"), depth)
+    return np.transpose(array, None if axes is None else _target_shape(axes, depth))
 
 
 _BUILDERS: dict[str, Callable[[Record, int], np.ndarray | sp.spmatrix]] = {
@@ -130,7 +132,7 @@ _BUILDERS: dict[str, Callable[[Record, int], np.ndarray | sp.spmatrix]] = {
 
 
 def _filled(shape: Any, dtype: np.dtype, data: Any, fortran_order: bool) -> np.ndarray:
-    shape = _lengths(shape, 0)
+    shape = _lengths(shape)
     content = _bytes_of(data)
     count = 1
     for length in shape:
@@ -177,22 +179,28 @@ def _attribute(record: Record, *names: str) -> Any:
 
 
 def _matrix_shape(record: Record) -> tuple[int, int]:
-    shape = _lengths(_attribute(record, "_shape", "shape"), 0)
+    shape = _lengths(_attribute(record, "_shape", "shape"))
     if len(shape) != 2 or min(shape) < 0 or max(shape) > 2**31:
         raise ValueError("a sparse matrix has no sensible shape")
     return shape[0], shape[1]
 
 
-def _lengths(value: Any, depth: int) -> tuple[int, ...]:
-    if isinstance(value, Record):
-        value = tuple(_vector(value, depth).tolist())
+def _lengths(value: Any) -> tuple[int, ...]:
+    """A shape from whole numbers only, plain or numpy's: a shape made of arrays could refer to itself."""
     entries = (value,) if isinstance(value, int) else value
     if not isinstance(entries, (tuple, list)) or len(entries) > 8:
         raise ValueError("a shape is no short list of numbers")
-    lengths = [array_of(entry).item() for entry in entries]
+    lengths = [
+        _scalar(entry, 0).item() if isinstance(entry, Record) and entry.kind == "scalar" else entry
+        for entry in entries
+    ]
     if any(type(length) is not int for length in lengths):
         raise ValueError("a shape holds something that is no whole number")
     return tuple(lengths)
+
+
+def _target_shape(value: Any, depth: int) -> tuple[int, ...]:
+    return _lengths(_vector(value, depth).tolist() if isinstance(value, Record) else value)
 
 
 def _dense(value: Any, depth: int) -> np.ndarray:

@@ -95,6 +95,7 @@ class _Reader(pickle._Unpickler):
     stack: list
     append: Callable[[Any], None]
     read: Callable[[int], bytes]
+    copies_left = OPCODE_LIMIT
     pop_mark: Callable[[], list]
 
     def find_class(self, module: str, name: str) -> Permitted:
@@ -113,7 +114,20 @@ class _Reader(pickle._Unpickler):
         target = self.stack.pop()
         if not isinstance(target, Permitted) or not isinstance(arguments, tuple):
             raise RefusedPickleError("it calls something that is no permitted constructor; nothing was run")
-        self.append(_record(target.kind, arguments))
+        if target.kind == "dict":
+            self.append(self.copied_pairs(arguments))
+        else:
+            self.append(_record(target.kind, arguments))
+
+    def copied_pairs(self, arguments: tuple) -> dict:
+        """OrderedDict of a list of pairs. One list may be copied again and again: copies are counted."""
+        pairs: dict = {}
+        for pair in arguments[0] if arguments else ():
+            self.copies_left -= 1
+            if self.copies_left < 0 or len(pair) != 2:
+                raise RefusedPickleError("it fills dictionaries with more than any model needs")
+            _set_pairs(pairs, list(pair))
+        return pairs
 
     def record_state(self) -> None:
         """BUILD: keep the state beside the record instead of setting attributes."""
@@ -152,12 +166,7 @@ class _Reader(pickle._Unpickler):
         self.append(self.pop_mark())
 
 
-def _record(kind: str, arguments: tuple) -> Record | dict | bytes:
-    if kind == "dict":
-        pairs: dict = {}
-        for pair in arguments[0] if arguments else ():
-            _set_pairs(pairs, list(pair))
-        return pairs
+def _record(kind: str, arguments: tuple) -> Record | bytes:
     if kind == "empty bytes" and not arguments:
         return b""
     if kind == "reconstructor":
@@ -183,10 +192,11 @@ def _set_pairs(target: Any, items: list) -> None:
     if type(target) is not dict:
         raise RefusedPickleError("it sets items of something that is no dictionary; nothing was run")
     for i in range(0, len(items), 2):
-        # Nested tuples as keys would be hashed in exponential time.
-        if not isinstance(items[i], (str, bytes, int)):
-            raise RefusedPickleError("it has dictionary keys that are neither text nor numbers")
-        target[items[i]] = items[i + 1]
+        key = items[i]
+        # Nested tuples would be hashed in exponential time, and giant numbers again and again.
+        if not (isinstance(key, (str, bytes)) or (isinstance(key, int) and abs(key) < 2**63)):
+            raise RefusedPickleError("it has dictionary keys that are neither text nor short numbers")
+        target[key] = items[i + 1]
 
 
 def _handlers() -> dict[int, Callable[[_Reader], None]]:
