@@ -1,0 +1,156 @@
+"""How far the parts of a surface pass through one another: fingers through fingers, thumb through palm."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Bool, Float, Int
+from scipy.sparse import csgraph
+
+from corporeal.geometry import winding_kernels
+from corporeal.geometry.closest_points import SurfaceTree
+from corporeal.geometry.topology import capped_by_fans, remove_unreferenced, unique_edges
+
+BORDER = 0.01
+"""Vertices within this distance of another part along the surface (metres) are not held against that part.
+
+Where two parts meet, skin folds and the cap of the one may bulge into the other; no finger has passed through
+anything there.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class PartPenetration:
+    """The vertices that lie inside another part, N of them; one that lies inside two parts stands twice.
+
+    Attributes:
+        vertices: (N,) vertex indices.
+        own_parts: (N,) the part that the vertex belongs to.
+        other_parts: (N,) the part that it lies inside.
+        depths: (N,) distance to the other part's own surface, in the unit of the vertices, metres.
+        faces: (N,) the face of the other part where that surface is closest.
+        barycentric: (N, 3) weights of that closest point.
+    """
+
+    vertices: Int[np.ndarray, " N"]
+    own_parts: Int[np.ndarray, " N"]
+    other_parts: Int[np.ndarray, " N"]
+    depths: Float[np.ndarray, " N"]
+    faces: Int[np.ndarray, " N"]
+    barycentric: Float[np.ndarray, "N 3"]
+
+    @property
+    def deepest(self) -> float:
+        """The largest depth; 0 where no part passes through another."""
+        return float(self.depths.max(initial=0.0))
+
+    @property
+    def by_pair(self) -> dict[tuple[int, int], float]:
+        """Largest depth for every pair of parts that touch, the lower label first, the deepest pair first."""
+        pairs: dict[tuple[int, int], float] = {}
+        for own, other, depth in zip(self.own_parts, self.other_parts, self.depths, strict=True):
+            pair = (int(min(own, other)), int(max(own, other)))
+            pairs[pair] = max(pairs.get(pair, 0.0), float(depth))
+        return dict(sorted(pairs.items(), key=lambda item: -item[1]))
+
+
+def winding_numbers(
+    points: Float[np.ndarray, "N 3"], vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
+) -> Float[np.ndarray, " N"]:
+    """Generalised winding number of a surface at each point (Jacobson, Kavan and Sorkine-Hornung 2013).
+
+    1 inside and 0 outside of a closed surface with faces counter-clockwise from outside, 2 where two closed
+    surfaces overlap, in between near the holes of an open one. Exact, at a cost of N times F.
+    """
+    return winding_kernels.winding_numbers(
+        np.ascontiguousarray(points, dtype=np.float64),
+        np.ascontiguousarray(vertices, dtype=np.float64),
+        np.ascontiguousarray(faces, dtype=np.int64),
+    )
+
+
+def part_penetration(
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    part_of_vertex: Int[np.ndarray, " V"],
+    border: float = BORDER,
+) -> PartPenetration:
+    """Vertices of one part inside another part.
+
+    A part is the faces whose three corners belong to it. It is cut out and every hole, where it was joined to
+    the rest or the mesh is open, is closed by a fan; a vertex of another part is inside where the winding
+    number of that closed surface is above one half. The fan never gives the depth. What happens within
+    one part is not seen, and neither is an overlap that no vertex of either part reaches into: the depth is
+    a lower bound, short of the truth by less than an edge.
+
+    Args:
+        vertices: (V, 3) metres.
+        faces: (F, 3) counter-clockwise from outside; may be open, as a hand is at the wrist.
+        part_of_vertex: (V,) label of each vertex's part; a negative label stands for no part.
+        border: a vertex closer than this to the other part, along the edges of the mesh, is left out, since
+            there the skin of joined parts folds; in the unit of the vertices.
+
+    Raises:
+        ValueError: a part's boundary does not close, because its faces are wound against one another.
+    """
+    labels = np.unique(part_of_vertex[part_of_vertex >= 0])
+    edges = unique_edges(faces)
+    lengths = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
+    graph = sp.csr_matrix((lengths, edges.T), shape=(len(vertices), len(vertices)))
+    found = [
+        _inside_part(vertices, faces, part_of_vertex, int(label), graph, border) for label in labels.tolist()
+    ]
+    found = [part for part in found if len(part.vertices)]
+    if not found:
+        none = np.zeros(0, dtype=np.int64)
+        return PartPenetration(none, none, none, np.zeros(0), none, np.zeros((0, 3)))
+    names = ("vertices", "own_parts", "other_parts", "depths", "faces", "barycentric")
+    return PartPenetration(*(np.concatenate([getattr(part, name) for part in found]) for name in names))
+
+
+def _inside_part(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    part_of_vertex: np.ndarray,
+    label: int,
+    graph: sp.csr_matrix,
+    border: float,
+) -> PartPenetration:
+    """Vertices of all other parts inside the one called ``label``."""
+    own_faces = np.flatnonzero((part_of_vertex[faces] == label).all(axis=1))
+    part_vertices, part_faces, _ = remove_unreferenced(vertices, faces[own_faces])
+    candidates = np.flatnonzero((part_of_vertex >= 0) & (part_of_vertex != label))
+    if len(own_faces):
+        candidates = candidates[_in_oriented_box(vertices[candidates], part_vertices)]
+    else:
+        candidates = candidates[:0]
+    if len(candidates):
+        members = np.flatnonzero(part_of_vertex == label)
+        away = csgraph.dijkstra(graph, directed=False, indices=members, min_only=True, limit=border)
+        candidates = candidates[away[candidates] > border]
+    if len(candidates):
+        closed = capped_by_fans(part_vertices, part_faces)
+        candidates = candidates[winding_numbers(vertices[candidates], *closed) > 0.5]
+    if not len(candidates):
+        none = np.zeros(0, dtype=np.int64)
+        return PartPenetration(none, none, none, np.zeros(0), none, np.zeros((0, 3)))
+    closest = SurfaceTree(part_vertices, part_faces).closest(vertices[candidates])
+    return PartPenetration(
+        candidates,
+        part_of_vertex[candidates],
+        np.full(len(candidates), label),
+        closest.distances,
+        own_faces[closest.faces],
+        closest.barycentric,
+    )
+
+
+def _in_oriented_box(points: np.ndarray, part_vertices: np.ndarray) -> Bool[np.ndarray, " _"]:
+    """Whether a point is in the part's box along its principal axes: a finger's box holds little else."""
+    centre = part_vertices.mean(axis=0)
+    axes = np.linalg.svd(part_vertices - centre, full_matrices=False)[2]
+    inside = (part_vertices - centre) @ axes.T
+    asked = (points - centre) @ axes.T
+    return ((asked >= inside.min(axis=0)) & (asked <= inside.max(axis=0))).all(axis=1)
