@@ -32,11 +32,11 @@ def official_arrays(
     family = FAMILY_OF_NAME[name]
     V, F, C = size or (60, 90, SMALL_COLUMNS[name])
     K = len(family.parents)
-    template = _single(rng.normal(scale=0.2, size=(V, 3)))
+    template = rng.normal(scale=0.2, size=(V, 3))
     # The root's vertices come first and at one end of x: a hand has its fingers on the other.
     template[: V // 10, 0] += 1.0 if side == "right" else -1.0
     arrays = {
-        "v_template": template,
+        "v_template": _single(template),
         "f": np.stack([rng.permutation(V)[:3] for _ in range(F)]).astype(np.uint32),
         "shapedirs": rng.standard_normal((V, 3, C), dtype=np.float32) * np.float32(0.01),
         "posedirs": rng.standard_normal((V, 3, 9 * (K - 1)), dtype=np.float32) * np.float32(0.002),

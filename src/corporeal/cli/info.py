@@ -138,7 +138,8 @@ def _lines(value: Any) -> list[str]:
 
 
 def _block_line(block: dict[str, Any]) -> str:
-    parts = [f"{block['name']}: {block['joints']} joints"]
+    plural = "" if block["joints"] == 1 else "s"
+    parts = [f"{block['name']}: {block['joints']} joint{plural}"]
     if block["components"]:
         origin = "the mean" if block["mean_included"] else "the zero pose"
         parts.append(f"{block['components']} components counted from {origin}")

@@ -25,8 +25,8 @@ def read_official(source: Source) -> SurfaceModel:
     """Read a file of one of the five families; which one is told from its kinematic tree.
 
     The hand statistics count coefficients from the mean, as the families do (``flat_hand_mean=False`` of
-    smplx). Where a file has components but no ``hands_coeffs``, their deviations are unknown: they are set to 1
-    and ``notes`` says so.
+    smplx). Where a file has components but no ``hands_coeffs``, their deviations are unknown: they are set to
+    1 and ``notes`` says so.
 
     Raises:
         ValueError: a key is missing, its content does not fit, or the tree is of no known family.
