@@ -343,3 +343,14 @@ def test_models_of_the_package_open_on_both_sides(tmp_path, rng, monkeypatch):
     assert_same_model(mirror_model(right), left)
     with pytest.raises(ModelFileError, match="foot"):
         open_model("foot")
+
+
+def test_messages_of_several_lines_become_one(official, tmp_path, rng):
+    path = official.write_npz(tmp_path / "a.npz", official.official_arrays("smpl", rng))
+    header = b"\x93NUMPY\x01\x00" + (20_000).to_bytes(2, "little") + b" " * 20_000
+    with zipfile.ZipFile(path) as old, zipfile.ZipFile(tmp_path / "b.npz", "w") as new:
+        for name in old.namelist():
+            new.writestr(name, header if name == "f.npy" else old.read(name))
+    with pytest.raises(ModelFileError, match="Header info length") as caught:
+        load_model(tmp_path / "b.npz")
+    assert "\n" not in str(caught.value)

@@ -14,5 +14,5 @@ class LeftHandWarning(UserWarning):
 
 
 def file_error(path: Path | str, problem: str, advice: str) -> ModelFileError:
-    """An error in one line: the file, what is wrong with it, what to do."""
-    return ModelFileError(f"{path}: {problem}; {advice}")
+    """An error in one line (numpy's own have several): the file, what is wrong with it, what to do."""
+    return ModelFileError(f"{path}: {' '.join(problem.split())}; {advice}")
