@@ -202,6 +202,28 @@ def test_float32_and_int32_are_taken(rng: np.random.Generator) -> None:
     assert_same(narrow, wide)
 
 
+def test_a_mesh_that_makes_the_deepest_tree(rng: np.random.Generator) -> None:
+    """Triangles that halve in size towards the origin: each cut parts a few of them from all the rest."""
+    sizes = np.repeat(0.5 ** np.arange(200.0), 3)
+    vertices = np.concatenate([sizes[:, None] * (1 + rng.uniform(size=(len(sizes), 3)) * 0.2)])
+    faces = np.arange(len(sizes)).reshape(-1, 3)
+    points = np.concatenate(
+        [rng.normal(size=(1500, 3)) * 0.5 ** rng.uniform(0, 100, size=(1500, 1)), vertices]
+    )
+    answer = SurfaceTree(vertices, faces).closest(points)
+    every = np.array(
+        [SurfaceTree(vertices, faces[[f]]).closest(points).squared_distances for f in range(200)]
+    )
+    np.testing.assert_array_equal(answer.squared_distances, every.min(axis=0))
+
+
+def test_points_beyond_float32_are_answered(rng: np.random.Generator) -> None:
+    vertices, faces = bumpy_sphere(rng, 2)
+    points = rng.normal(size=(50, 3)) * 1e25
+    answer = SurfaceTree(vertices, faces).closest(points)
+    np.testing.assert_allclose(answer.distances, np.linalg.norm(points, axis=1), rtol=1e-12)
+
+
 def test_no_points_give_an_empty_answer(rng: np.random.Generator) -> None:
     answer = SurfaceTree(*bumpy_sphere(rng, 1)).closest(np.zeros((0, 3)))
     assert answer.points.shape == (0, 3)

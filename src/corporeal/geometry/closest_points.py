@@ -144,12 +144,12 @@ class SurfaceTree:
         return vertices
 
     def _rebuild(self, vertices: np.ndarray) -> None:
-        children = np.empty((len(self._faces), tree_kernels.WIDTH), dtype=np.int32)
+        children = np.full((len(self._faces), kernels.WIDTH), kernels.EMPTY, dtype=np.int32)
         limits, centres = tree_kernels.triangle_boxes(vertices, self._faces)
         nodes, depth = tree_kernels.build(limits, centres, self._order, children)
         self._children = children[:nodes].copy()
-        self._boxes = np.empty((nodes, 6, tree_kernels.WIDTH), dtype=np.float32)
-        self._stack_size = int(depth) * tree_kernels.WIDTH + 1
+        self._boxes = np.empty((nodes, 6, kernels.WIDTH), dtype=np.float32)
+        self._stack_size = int(depth) * kernels.WIDTH + 1
         self._leaf_of_face = np.full(len(self._faces) + 1, -1, dtype=np.int64)
         self._leaf_of_face[self._order] = np.arange(len(self._faces))
         self._fit(vertices)

@@ -3,8 +3,10 @@
 import numpy as np
 from numba import njit, prange
 
-from corporeal.geometry.surface_tree_kernels import EMPTY, WIDTH
-
+# Children of a node. 16 boxes are two vectors of AVX2 or one of AVX-512, and a loop of 16 is the shortest
+# that LLVM vectorises. Measured: with 4 and 8 children answers take 1.2 times as long and building 1.3 times.
+WIDTH = 16
+EMPTY = np.int32(-2147483648)  # no child
 # A squared distance to a box is taken this much smaller: more than its float32 arithmetic can be wrong for
 # points outside the mesh's cube; inside, the boxes' PAD does the same.
 SHRINK = np.float32(1 - 4e-6)

@@ -1,8 +1,10 @@
 """Kernels that build and refit a surface tree, a wide bounding-volume hierarchy over triangles.
 
 Layout. Triangles stand in leaf order: (F, 12) rows of corner a, edges ab and ac, then ab·ab, ab·ac, ac·ac. A
-node holds the boxes of its WIDTH children side by side, (6, WIDTH) float32: lower x y z, upper x y z. Its
-children are (WIDTH,) int32: a node, or ``~t`` for triangle t, or EMPTY. Parents stand before their children.
+node holds the boxes of its W children side by side, (6, W) float32: lower x y z, upper x y z. Its children
+are (W,) int32: a node, or ``~t`` for triangle t, or nothing, which is ``~t`` for a t beyond the last triangle.
+Parents stand before their children. W is read from the arrays here: numba's cache does not notice a constant
+that has changed in another file, so only the module that needs it as a constant, to vectorise, holds it.
 
 Boxes are in coordinates that put the mesh into the cube [-1, 1], and are grown by PAD. That covers every
 rounding of the float32 arithmetic in a query (which adds its own margin for far points): a box never hides
@@ -12,8 +14,6 @@ the closest triangle.
 import numpy as np
 from numba import njit, prange
 
-WIDTH = 8
-EMPTY = np.int32(-2147483648)
 PAD = np.float32(1e-6)
 INFINITE = np.float32(np.inf)
 BINS = 16
@@ -132,14 +132,15 @@ def split(limits, centres, order, begin, end):
 
 @njit(cache=True, error_model="numpy")
 def cut_range(limits, centres, order, cuts):
-    """Cut the range cuts[0]:cuts[1] into at most WIDTH parts; returns their number and fills ``cuts``.
+    """Cut the range cuts[0]:cuts[1] into at most len(cuts) - 1 parts; returns their number, fills ``cuts``.
 
     The most numerous part is cut first. A part that fits into one node is left whole, so that the lowest
     nodes are full: cutting on to single triangles made three times as many nodes, a quarter full.
     """
-    enough = WIDTH if cuts[1] - cuts[0] > WIDTH else 1
+    width = len(cuts) - 1
+    enough = width if cuts[1] - cuts[0] > width else 1
     parts = 1
-    while parts < WIDTH:
+    while parts < width:
         widest = 0
         for r in range(1, parts):
             if cuts[r + 1] - cuts[r] > cuts[widest + 1] - cuts[widest]:
@@ -159,23 +160,21 @@ def cut_range(limits, centres, order, cuts):
 
 @njit(cache=True, error_model="numpy")
 def build(limits, centres, order, children):
-    """Fill ``order`` (leaf order of the faces) and ``children``; returns number of nodes and depth."""
+    """Fill ``order`` (leaf order of the faces) and ``children``, which come empty; node count and depth."""
     F = len(limits)
     for f in range(F):
         order[f] = f
     begins = np.empty(len(children), np.int64)
     ends = np.empty(len(children), np.int64)
     levels = np.empty(len(children), np.int64)
-    cuts = np.empty(WIDTH + 1, np.int64)
+    cuts = np.empty(children.shape[1] + 1, np.int64)
     begins[0], ends[0], levels[0] = 0, F, 1
     nodes, node = 1, 0
     while node < nodes:
         cuts[0], cuts[1] = begins[node], ends[node]
         parts = cut_range(limits, centres, order, cuts)
-        for k in range(WIDTH):
-            if k >= parts:
-                children[node, k] = EMPTY
-            elif cuts[k + 1] - cuts[k] == 1:
+        for k in range(parts):
+            if cuts[k + 1] - cuts[k] == 1:
                 children[node, k] = ~cuts[k]
             else:
                 children[node, k] = nodes
@@ -209,9 +208,9 @@ def fit_boxes(triangles, children, boxes, centre, scale):
     """Boxes of all nodes from the triangles; returns the summed half area of the inner nodes' boxes."""
     total = 0.0
     for node in range(len(children) - 1, -1, -1):
-        for k in range(WIDTH):
+        for k in range(children.shape[1]):
             child = children[node, k]
-            if child == EMPTY:
+            if ~child >= len(triangles):
                 for d in range(3):
                     boxes[node, d, k] = INFINITE
                     boxes[node, 3 + d, k] = -INFINITE
@@ -232,7 +231,7 @@ def hold_children(boxes, node, k, child):
     """Make the box of a node's k-th child hold that child's own boxes; returns its half area."""
     for d in range(3):
         low, high = boxes[child, d, 0], boxes[child, 3 + d, 0]
-        for i in range(1, WIDTH):
+        for i in range(1, boxes.shape[2]):
             low = min(low, boxes[child, d, i])
             high = max(high, boxes[child, 3 + d, i])
         boxes[node, d, k] = low
