@@ -9,8 +9,8 @@ import torch
 
 from corporeal.geometry.rotations import matrix_from_axis_angle
 from corporeal.model import jacobian
-from corporeal.model.forward import reference_surface
 from corporeal.model.jacobian import ParameterColumns, evaluate, linearise
+from corporeal.model.reference import reference_surface
 
 SYNTHETIC = runpy.run_path(str(Path(__file__).parents[1] / "synthetic.py"))
 

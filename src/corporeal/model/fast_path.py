@@ -22,8 +22,16 @@ _PARALLEL_JOINTS = 1_000
 _CHUNKS = 16
 
 
+class Parameters(NamedTuple):
+    """What a batch is posed by; ``axis_angle`` is empty where the pose came as matrices."""
+
+    axis_angle: Float[np.ndarray, "b K 3"]
+    coefficients: Float[np.ndarray, "B C"]
+    translation: Float[np.ndarray, "B 3"]
+
+
 class BatchState(NamedTuple):
-    """What the kernels keep of a batch of Bp surfaces, for the backward pass too."""
+    """What the kernels keep of a batch, for the backward pass too; Bp is B, padded to whole lanes."""
 
     row: Float[np.ndarray, "Bp N"]  # 1, coefficients, pose feature: the rest surface is basis @ row
     local: Float[np.ndarray, "Bp K 3 3"]
@@ -33,8 +41,16 @@ class BatchState(NamedTuple):
     T: Float[np.ndarray, "B K 4 4"]
 
 
-class Gradients(NamedTuple):
-    """Gradients that flow in from what skinning used and from the frames; empty where there is none."""
+class SkinGradients(NamedTuple):
+    """Gradients by what skinning used, in parts that were summed by different threads."""
+
+    motion: Float[np.ndarray, "c Bp K 12"]
+    row: Float[np.ndarray, "c Bp N"]
+    translation: Float[np.ndarray, "c B 3"]
+
+
+class Incoming(NamedTuple):
+    """Gradients that the tree passes on; those by joints and frames are empty where there are none."""
 
     motion: Float[np.ndarray, "Bp K 12"]
     row: Float[np.ndarray, "Bp N"]
@@ -74,129 +90,124 @@ class _Posing(torch.autograd.Function):
         ctx.tensors, ctx.correctives = tensors, correctives
         ctx.save_for_backward(coefficients, rotation, translation)
         ctx.set_materialize_grads(False)
+        model, given = tensors.cpu_arrays, _parameters(coefficients, rotation, translation)
         B, K = rotation.shape[:2]
-        lanes = lane_kernels.LANES
-        padded = B if B < _MANY_FROM else -(-B // lanes) * lanes
-        joints, T_world_joint = rotation.new_empty(B, K, 3), rotation.new_empty(B, K, 4, 4)
-        parameters = (coefficients.detach(), rotation.detach(), translation.detach())
-        state = _posed_joints(tensors, parameters, padded, correctives, (joints, T_world_joint))
-        basis = tensors.basis[:, : state.row.shape[1]]
-        vertices = rotation.new_empty(B, len(basis) // 3, 3)
-        move = parameters[2].numpy()
-        if B < _MANY_FROM:
-            rest = rotation.new_empty(B, len(basis))
-            chunks = _CHUNKS if B * basis.numel() > _PARALLEL_BASIS else 1
-            skinning_kernels.pose_few(
-                chunks, basis.numpy(), tensors.sparse_weights, state, move, rest.numpy(), vertices.numpy()
-            )
+        few = B < _MANY_FROM
+        joints, T_world_joint = torch.empty(B, K, 3, dtype=rotation.dtype), rotation.new_empty(B, K, 4, 4)
+        vertices = rotation.new_empty(B, len(model.basis) // 3, 3)
+        N = model.basis.shape[1] if correctives else 1 + coefficients.shape[1]
+        state = _blank_state(rotation, N, B if few else _whole_lanes(B), joints, T_world_joint)
+        if few:
+            rest = np.empty((B, len(model.basis)), state.row.dtype)
+            chunks = _few_chunks(B, tensors)
+            skinning_kernels.pose_few(chunks, given, model, state, rest, vertices.numpy())
         else:
-            rest = torch.mm(basis, torch.from_numpy(state.row).T)
-            motion = _to_lanes(state.motion)
-            lane_kernels.pose_many(tensors.sparse_weights, motion, rest.numpy(), move, vertices.numpy())
-        ctx.state, ctx.rest = state, rest
+            skinning_kernels.chain(B * K > _PARALLEL_JOINTS, given, model, state)
+            rest = torch.mm(tensors.basis[:, :N], torch.from_numpy(state.row).T).numpy()
+            lane_kernels.pose_many(model, _to_lanes(state.motion), rest, given.translation, vertices.numpy())
+        ctx.given, ctx.state, ctx.rest = given, state, rest
         return vertices, joints, T_world_joint
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
+        saved = ctx.saved_tensors  # complains if a parameter was changed in place since
         if torch.is_grad_enabled():  # create_graph=True
-            return _reference_gradients(ctx, gradients)
-        coefficients, rotation, translation = ctx.saved_tensors
-        B, K = rotation.shape[:2]
-        by_vertices, by_joints, by_T = gradients
+            return _reference_gradients(ctx, saved, gradients)
+        given, state, (by_vertices, by_joints, by_T) = ctx.given, ctx.state, gradients
         by_motion, by_row, by_translation = _skinning_gradients(ctx, by_vertices)
-        is_vector = rotation.ndim == 3
+        B, K = state.joints.shape[:2]
+        dtype = by_row.dtype
         out = ParameterGradients(
-            np.empty(coefficients.shape, by_row.dtype),
-            np.empty((B, K, 3, 3), by_row.dtype),
-            np.empty((B if is_vector else 0, K, 3), by_row.dtype),
-            by_translation,
+            np.empty(given.coefficients.shape, dtype), np.empty((B, K, 3, 3), dtype),
+            np.empty(given.axis_angle.shape, dtype), by_translation,
+        )  # fmt: skip
+        incoming = Incoming(
+            by_motion, by_row, _array(by_joints, (0, K, 3), dtype), _array(by_T, (0, K, 4, 4), dtype)
         )
         skinning_kernels.unchain(
-            B * K > _PARALLEL_JOINTS, _axis_angle(rotation), ctx.tensors.skeleton, ctx.state,
-            Gradients(by_motion, by_row, _array(by_joints, (0, K, 3), rotation),
-                      _array(by_T, (0, K, 4, 4), rotation)),
-            out,
-        )  # fmt: skip
-        by_rotation = out.axis_angle if is_vector else out.local
-        return (
-            None, torch.from_numpy(out.coefficients), torch.from_numpy(by_rotation),
-            torch.from_numpy(out.translation), None,
-        )  # fmt: skip
+            B * K > _PARALLEL_JOINTS, given, ctx.tensors.cpu_arrays, state, incoming, out
+        )
+        by_rotation = out.axis_angle if len(given.axis_angle) else out.local
+        found = (torch.from_numpy(array) for array in (out.coefficients, by_rotation, out.translation))
+        return None, *found, None
 
 
-def _posed_joints(
-    tensors: ModelTensors, parameters: tuple[Tensor, Tensor, Tensor], padded: int, correctives: bool,
-    frames: tuple[Tensor, Tensor],
-) -> BatchState:  # fmt: skip
-    """Run the tree and fill ``frames``; surfaces beyond the batch are padding and stay zero."""
-    coefficients, rotation, translation = parameters
-    B, K = rotation.shape[:2]
-    N = tensors.basis.shape[1] if correctives else 1 + coefficients.shape[1]
-    dtype = tensors.skeleton.joint_template.dtype
+def _parameters(coefficients: Tensor, rotation: Tensor, translation: Tensor) -> Parameters:
+    values = rotation.detach().numpy()
+    axis_angle = values if values.ndim == 3 else np.empty((0, values.shape[1], 3), values.dtype)
+    return Parameters(axis_angle, coefficients.detach().numpy(), translation.detach().numpy())
+
+
+def _blank_state(rotation: Tensor, N: int, padded: int, joints: Tensor, T_world_joint: Tensor) -> BatchState:
+    """Room for a batch; surfaces beyond it are padding and stay zero."""
+    values = rotation.detach().numpy()
+    B, K, dtype = *values.shape[:2], values.dtype
     new = np.empty if padded == B else np.zeros
-    if rotation.ndim == 4:
-        local = np.zeros((padded, K, 3, 3), dtype)
-        local[:B] = rotation.numpy()
-    else:
-        local = new((padded, K, 3, 3), dtype)
-    state = BatchState(
+    local = new((padded, K, 3, 3), dtype)
+    if values.ndim == 4:
+        local[:B] = values
+    return BatchState(
         new((padded, N), dtype), local, new((padded, K, 3), dtype), new((padded, K, 12), dtype),
-        frames[0].numpy(), frames[1].numpy(),
+        joints.numpy(), T_world_joint.numpy(),
     )  # fmt: skip
-    skinning_kernels.chain(
-        B * K > _PARALLEL_JOINTS, _axis_angle(rotation), coefficients.numpy(), translation.numpy(),
-        tensors.skeleton, state,
-    )  # fmt: skip
-    return state
+
+
+def _few_chunks(batch: int, tensors: ModelTensors) -> int:
+    return _CHUNKS if batch * tensors.basis.numel() > _PARALLEL_BASIS else 1
+
+
+def _whole_lanes(batch: int) -> int:
+    return -(-batch // lane_kernels.LANES) * lane_kernels.LANES
 
 
 def _skinning_gradients(ctx: Any, by_vertices: Tensor | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Gradients by motions, basis row and translation from that by the vertices."""
-    state, rest = ctx.state, ctx.rest
-    B = len(state.T)
-    by_motion, by_translation = np.zeros_like(state.motion), np.zeros((B, 3), state.row.dtype)
+    state, rest, model = ctx.state, ctx.rest, ctx.tensors.cpu_arrays
+    B = len(state.joints)
     if by_vertices is None:
-        return by_motion, np.zeros_like(state.row), by_translation
-    basis, weights = ctx.tensors.basis[:, : state.row.shape[1]], ctx.tensors.sparse_weights
-    by_rest, pull = torch.empty_like(rest), by_vertices.contiguous()
+        return np.zeros_like(state.motion), np.zeros_like(state.row), np.zeros((B, 3), rest.dtype)
+    pull = by_vertices.contiguous()
     if B < _MANY_FROM:
-        skinning_kernels.unpose_few(
-            weights, state, rest.numpy(), pull.numpy(), by_motion, by_rest.numpy(), by_translation
+        chunks = _few_chunks(B, ctx.tensors)
+        parts = SkinGradients(
+            *(
+                np.zeros((chunks, *shape), rest.dtype)
+                for shape in (state.motion.shape, state.row.shape, (B, 3))
+            )
         )
-        return by_motion, torch.mm(by_rest, basis).numpy(), by_translation
+        skinning_kernels.unpose_few(model, state, rest, pull.numpy(), parts)
+        if chunks == 1:
+            return parts.motion[0], parts.row[0], parts.translation[0]
+        return parts.motion.sum(axis=0), parts.row.sum(axis=0), parts.translation.sum(axis=0)
     motion = _to_lanes(state.motion)
-    splits = max(1, 4 // len(motion))
-    parts = np.zeros((splits, *motion.shape), motion.dtype)
-    lane_kernels.unpose_many(splits, weights, motion, rest.numpy(), pull.numpy(), parts, by_rest.numpy())
-    by_translation = pull.sum(dim=1).numpy()
-    return _from_lanes(parts.sum(axis=0)), torch.mm(by_rest.T, basis).numpy(), by_translation
+    by_motion = np.zeros((max(1, 4 // len(motion)), *motion.shape), rest.dtype)
+    by_rest = torch.empty(rest.shape, dtype=by_vertices.dtype)
+    lane_kernels.unpose_many(model, motion, rest, pull.numpy(), by_motion, by_rest.numpy())
+    by_row = torch.mm(by_rest.T, ctx.tensors.basis[:, : state.row.shape[1]])
+    return _from_lanes(by_motion.sum(axis=0)), by_row.numpy(), pull.sum(dim=1).numpy()
 
 
-def _reference_gradients(ctx: Any, gradients: tuple[Tensor | None, ...]) -> tuple[Tensor | None, ...]:
+def _reference_gradients(
+    ctx: Any, saved: tuple[Tensor, ...], gradients: tuple[Tensor | None, ...]
+) -> tuple[Tensor | None, ...]:
     """The same gradients as a graph that can be differentiated again."""
-    coefficients, rotation, translation = ctx.saved_tensors
+    coefficients, rotation, translation = saved
     with torch.enable_grad():
         matrices = matrix_from_axis_angle(rotation) if rotation.ndim == 3 else rotation
         surface = reference_surface(ctx.tensors, coefficients, matrices, translation, ctx.correctives)
     outputs = (surface.vertices, surface.joints, surface.T_world_joint)
     used = [(value, by) for value, by in zip(outputs, gradients, strict=True) if by is not None]
-    inputs = [tensor for tensor in ctx.saved_tensors if tensor.requires_grad]
+    inputs = [tensor for tensor in saved if tensor.requires_grad]
     found = torch.autograd.grad(
         [value for value, _ in used], inputs, [by for _, by in used], create_graph=True, allow_unused=True
     )
     by_input = iter(found)
-    coefficient, turn, move = (next(by_input) if t.requires_grad else None for t in ctx.saved_tensors)
+    coefficient, turn, move = (next(by_input) if t.requires_grad else None for t in saved)
     return None, coefficient, turn, move, None
 
 
-def _axis_angle(rotation: Tensor) -> np.ndarray:
-    if rotation.ndim == 3:
-        return rotation.detach().numpy()
-    return np.empty((0, rotation.shape[1], 3), rotation.detach().numpy().dtype)
-
-
-def _array(gradient: Tensor | None, empty: tuple[int, ...], like: Tensor) -> np.ndarray:
-    return (like.new_empty(empty) if gradient is None else gradient.contiguous()).detach().numpy()
+def _array(gradient: Tensor | None, empty: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
+    return np.empty(empty, dtype) if gradient is None else gradient.detach().contiguous().numpy()
 
 
 def _to_lanes(motion: np.ndarray) -> np.ndarray:

@@ -20,9 +20,9 @@ def posed_surface(
     """Pose a batch; coefficients are shape, then expression.
 
     On the CPU the numba kernels do the work, with an analytic backward pass. Plain torch takes over on other
-    devices and in other dtypes, under ``torch.func`` transforms and ``torch.compile``, and where the model's own
-    arrays want gradients. Derivatives of second order need no care: ``create_graph=True`` works, through plain
-    torch. Forward-mode differentiation (``torch.autograd.forward_ad``) is had from ``reference_surface``.
+    devices and in other dtypes, under ``torch.func`` transforms and ``torch.compile``, and where the model's
+    own arrays want gradients. Second derivatives (``create_graph=True``) work too, through plain torch.
+    Forward-mode differentiation (``torch.autograd.forward_ad``) is had from ``reference_surface``.
     """
     if _kernels_apply(tensors, pose.values):
         return fast_surface(tensors, coefficients, pose, translation, correctives)

@@ -1,5 +1,6 @@
 """Kernels that pose LANES surfaces side by side: every operation works on all of them in vector registers.
 
+``model`` is a ``CpuArrays``; a motion is 3 x 4, rotation row-major in 0..8, offset in 9..11.
 ``rest`` is (3 V, B) with B a multiple of LANES, ``motion`` (B / LANES, K, 12 * LANES). Vertices go through a
 tile, because callers want them by surface: writing three numbers at a time into 16 surfaces misses the cache.
 """
@@ -12,26 +13,26 @@ TILE = 32  # vertices; a tile of 16 surfaces in float32 is 6 kB
 
 
 @njit(cache=True, fastmath=True)
-def blend_lanes(i, count, weights, motion, blended):
+def blend_lanes(i, count, model, motion, blended):
     """Weighted sum of the first ``count`` numbers of the motions that move one vertex."""
-    first = weights.starts[i]
-    k, weight = weights.joints[first], weights.values[first]
+    first = model.weight_starts[i]
+    k, weight = model.weight_joints[first], model.weight_values[first]
     for e in range(count):
         blended[e] = weight * motion[k, e]
-    for n in range(first + 1, weights.starts[i + 1]):
-        k, weight = weights.joints[n], weights.values[n]
+    for n in range(first + 1, model.weight_starts[i + 1]):
+        k, weight = model.weight_joints[n], model.weight_values[n]
         for e in range(count):
             blended[e] += weight * motion[k, e]
 
 
 @njit(cache=True, fastmath=True)
-def pose_tile(first, last, lane, weights, motion, rest, translation, vertices):
+def pose_tile(first, last, lane, model, motion, rest, translation, vertices):
     """Skin the vertices ``first`` to ``last`` of the surfaces ``lane`` to ``lane + LANES``."""
     tile = np.empty((3 * TILE, LANES), rest.dtype)
     blended = np.empty(12 * LANES, rest.dtype)
     points = np.empty((3, LANES), rest.dtype)
     for i in range(first, last):
-        blend_lanes(i, 12 * LANES, weights, motion, blended)
+        blend_lanes(i, 12 * LANES, model, motion, blended)
         for a in range(3):
             for s in range(LANES):
                 points[a, s] = rest[3 * i + a, lane + s]
@@ -51,52 +52,57 @@ def pose_tile(first, last, lane, weights, motion, rest, translation, vertices):
 
 
 @njit(cache=True, parallel=True)
-def pose_many(weights, motion, rest, translation, vertices):
+def pose_many(model, motion, rest, translation, vertices):
     """``pose_tile`` over all tiles of all surfaces."""
     V = vertices.shape[1]
     tiles = (V + TILE - 1) // TILE
     for t in prange(tiles):
         for block in range(len(motion)):
             last = min(V, (t + 1) * TILE)
-            pose_tile(t * TILE, last, block * LANES, weights, motion[block], rest, translation, vertices)
+            pose_tile(t * TILE, last, block * LANES, model, motion[block], rest, translation, vertices)
 
 
 @njit(cache=True, fastmath=True)
-def unpose_vertex(i, lane, weights, motion, rest, pull, blended, outer, by_motion, by_rest):
-    """Gradients by rest position and motions of one vertex; ``pull`` (3, LANES) is that by the vertex."""
-    blend_lanes(i, 9 * LANES, weights, motion, blended)
+def unpose_vertex(i, lane, model, motion, rest, work, by_motion, by_rest):
+    """Gradients by rest position and motions of one vertex.
+
+    ``work[1, 9 * LANES :]`` holds the gradient by the vertex; it is also that by the motion's offset.
+    """
+    blended, outer = work[0], work[1]
+    blend_lanes(i, 9 * LANES, model, motion, blended)
     for c in range(3):
         for s in range(LANES):
+            x, y, z = outer[9 * LANES + s], outer[10 * LANES + s], outer[11 * LANES + s]
             place = rest[3 * i + c, lane + s]
             by_rest[3 * i + c, lane + s] = (
-                blended[c * LANES + s] * pull[0, s]
-                + blended[(3 + c) * LANES + s] * pull[1, s]
-                + blended[(6 + c) * LANES + s] * pull[2, s]
+                blended[c * LANES + s] * x
+                + blended[(3 + c) * LANES + s] * y
+                + blended[(6 + c) * LANES + s] * z
             )
-            outer[c * LANES + s] = pull[0, s] * place
-            outer[(3 + c) * LANES + s] = pull[1, s] * place
-            outer[(6 + c) * LANES + s] = pull[2, s] * place
-            outer[(9 + c) * LANES + s] = pull[c, s]
-    for n in range(weights.starts[i], weights.starts[i + 1]):
-        k, weight = weights.joints[n], weights.values[n]
+            outer[c * LANES + s] = x * place
+            outer[(3 + c) * LANES + s] = y * place
+            outer[(6 + c) * LANES + s] = z * place
+    for n in range(model.weight_starts[i], model.weight_starts[i + 1]):
+        k, weight = model.weight_joints[n], model.weight_values[n]
         for e in range(12 * LANES):
             by_motion[k, e] += weight * outer[e]
 
 
 @njit(cache=True, parallel=True)
-def unpose_many(splits, weights, motion, rest, by_vertices, by_motion, by_rest):
-    """Gradients by motions and rest surface; ``by_motion`` (splits, blocks, K, 12 * LANES) is to be summed."""
+def unpose_many(model, motion, rest, by_vertices, by_motion, by_rest):
+    """Gradients by motions and rest surface.
+
+    ``by_motion`` (splits, blocks, K, 12 * LANES) is to be summed over the splits of the vertices, which give
+    every thread its own where there is one block only.
+    """
     B, V = by_vertices.shape[:2]
-    blocks = len(motion)
+    splits, blocks = by_motion.shape[:2]
     for task in prange(splits * blocks):
         split, block = task // blocks, task % blocks
         lane = block * LANES
-        pull = np.zeros((3, LANES), rest.dtype)
-        blended, outer = np.empty(12 * LANES, rest.dtype), np.empty(12 * LANES, rest.dtype)
+        work = np.zeros((2, 12 * LANES), rest.dtype)
         for i in range(split * V // splits, (split + 1) * V // splits):
             for s in range(min(LANES, B - lane)):
                 for a in range(3):
-                    pull[a, s] = by_vertices[lane + s, i, a]
-            unpose_vertex(
-                i, lane, weights, motion[block], rest, pull, blended, outer, by_motion[split, block], by_rest
-            )
+                    work[1, (9 + a) * LANES + s] = by_vertices[lane + s, i, a]
+            unpose_vertex(i, lane, model, motion[block], rest, work, by_motion[split, block], by_rest)

@@ -29,20 +29,26 @@ class PosedSurface:
     T_world_joint: Float[Tensor, "B K 4 4"]
 
 
-class Skeleton(NamedTuple):
-    """What the joint kernels read, in the tensors' dtype; C counts shape and expression together."""
+class CpuArrays(NamedTuple):
+    """What the CPU kernels read, as numpy arrays that share the tensors' memory where they can.
+
+    Attributes:
+        parents: (K,).
+        joint_template: (K, 3).
+        joint_directions: (3 K, C).
+        weight_starts: (V + 1,); the non-zero skinning weights of vertex i begin at ``weight_starts[i]``.
+        weight_joints: (n,) their joints.
+        weight_values: (n,) the weights.
+        basis: (3 V, 1 + C + P).
+    """
 
     parents: Int[np.ndarray, " K"]
     joint_template: Float[np.ndarray, "K 3"]
     joint_directions: Float[np.ndarray, "K3 C"]
-
-
-class SkinWeights(NamedTuple):
-    """Non-zero skinning weights by vertex: ``starts[i]`` to ``starts[i + 1]`` are those of vertex i."""
-
-    starts: Int[np.ndarray, " V1"]
-    joints: Int[np.ndarray, " n"]
-    values: Float[np.ndarray, " n"]
+    weight_starts: Int[np.ndarray, " V1"]
+    weight_joints: Int[np.ndarray, " n"]
+    weight_values: Float[np.ndarray, " n"]
+    basis: Float[np.ndarray, "V3 N"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,19 +87,21 @@ class ModelTensors:
         return self.basis[:, 1 + self.joint_directions.shape[1] :]
 
     @cached_property
-    def skeleton(self) -> Skeleton:
-        """The joints' part as numpy arrays that share memory (CPU only)."""
-        return Skeleton(self.parents, self.joint_template.numpy(), self.joint_directions.numpy())
-
-    @cached_property
-    def sparse_weights(self) -> SkinWeights:
-        """Skinning weights without their zeros, at least one entry per vertex (CPU only)."""
+    def cpu_arrays(self) -> CpuArrays:
+        """The same for the CPU kernels; zeros of the weights are left out, but every vertex has an entry."""
         weights = self.skinning_weights.numpy()
         kept = weights != 0
         kept[:, 0] |= ~kept.any(axis=1)
         vertices, joints = np.nonzero(kept)
-        starts = np.searchsorted(vertices, np.arange(len(weights) + 1))
-        return SkinWeights(starts, joints, weights[kept])
+        return CpuArrays(
+            parents=self.parents,
+            joint_template=self.joint_template.numpy(),
+            joint_directions=self.joint_directions.numpy(),
+            weight_starts=np.searchsorted(vertices, np.arange(len(weights) + 1)),
+            weight_joints=joints,
+            weight_values=weights[kept],
+            basis=self.basis.numpy(),
+        )
 
     @cached_property
     def trainable(self) -> bool:
@@ -117,8 +125,8 @@ class ModelTensors:
         """Build from numpy arrays; the regressor is folded in float64 before rounding."""
         V, _, C = shape_directions.shape
         joint_directions = joint_regressor @ shape_directions.reshape(V, 3 * C)
-        blocks = (template, shape_directions, pose_directions)
-        basis = torch.cat([torch.as_tensor(b, dtype=dtype).reshape(3 * V, -1) for b in blocks], dim=1)
+        blocks = (template[:, :, None], shape_directions, pose_directions)
+        basis = torch.cat([torch.as_tensor(b, dtype=dtype).flatten(0, 1) for b in blocks], dim=1)
 
         def tensor(array: np.ndarray) -> Tensor:
             return torch.as_tensor(np.ascontiguousarray(array), dtype=dtype, device=device)
@@ -126,7 +134,7 @@ class ModelTensors:
         return cls(
             basis=basis.to(device),
             joint_template=tensor(joint_regressor @ template),
-            joint_directions=tensor(joint_directions.reshape(-1, C)),
+            joint_directions=tensor(joint_directions.reshape(3 * len(parents), C)),
             skinning_weights=tensor(skinning_weights),
             parents=np.asarray(parents, dtype=np.int64),
         )

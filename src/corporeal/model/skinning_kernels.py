@@ -1,7 +1,7 @@
 """Kernels of batched posing on the CPU, forward and backward, in the dtype of their arrays.
 
-``skeleton`` is a ``Skeleton``, ``weights`` a ``SkinWeights``, ``state`` a ``BatchState``. A joint's motion is
-3 x 4: rotation row-major in 0..8, offset in 9..11. Here one surface runs after the other; ``lane_kernels`` run
+``given`` is a ``Parameters``, ``model`` a ``CpuArrays``, ``state`` a ``BatchState``. A joint's motion is
+3 x 4: rotation row-major in 0..8, offset in 9..11. Surfaces run one after the other; ``lane_kernels`` run
 large batches side by side.
 """
 
@@ -62,197 +62,223 @@ def axis_angle_gradient(axis_angle, local, gradient, out):
 
 
 @njit(cache=True)
-def chain_one(b, axis_angle, coefficients, translation, skeleton, state):
-    """Rotations, joints, motions and the row of the basis of one surface; ``axis_angle`` may be empty."""
-    K, C = len(skeleton.parents), coefficients.shape[1]
-    local, rest, turned, motion = state.local[b], state.rest_joints[b], state.T[b], state.motion[b]
-    state.row[b, 0] = 1
-    state.row[b, 1 : 1 + C] = coefficients[b]
-    for k in range(K):
-        p = skeleton.parents[k]
-        if len(axis_angle) > 0:
-            rotation_of(axis_angle[b, k], local[k])
-        for a in range(3):
-            total = skeleton.joint_template[k, a]
-            for s in range(C):
-                total += skeleton.joint_directions[3 * k + a, s] * coefficients[b, s]
-            rest[k, a] = total
-        for a in range(3):
-            if p < 0:
-                turned[k, a, 3] = rest[k, a]
-                for c in range(3):
-                    turned[k, a, c] = local[k, a, c]
-            else:
-                x, y, z = turned[p, a, 0], turned[p, a, 1], turned[p, a, 2]
-                bone = (
-                    x * (rest[k, 0] - rest[p, 0])
-                    + y * (rest[k, 1] - rest[p, 1])
-                    + z * (rest[k, 2] - rest[p, 2])
-                )
-                turned[k, a, 3] = turned[p, a, 3] + bone
-                for c in range(3):
-                    turned[k, a, c] = x * local[k, 0, c] + y * local[k, 1, c] + z * local[k, 2, c]
-            offset = turned[k, a, 3]
+def place_joint(k, p, local, rest, T, motion):
+    """Frame and motion of one joint from its parent's (``p`` < 0: the root), without translation."""
+    for a in range(3):
+        if p < 0:
+            T[k, a, 3] = rest[k, a]
             for c in range(3):
-                offset -= turned[k, a, c] * rest[k, c]
-                motion[k, 3 * a + c] = turned[k, a, c]
-                if k > 0 and state.row.shape[1] > 1 + C:
-                    state.row[b, 1 + C + 9 * (k - 1) + 3 * a + c] = local[k, a, c] - (1 if a == c else 0)
-            motion[k, 9 + a] = offset
-    for k in range(K):
-        for a in range(3):
-            turned[k, a, 3] += translation[b, a]
-            turned[k, 3, a] = 0
-            state.joints[b, k, a] = turned[k, a, 3]
-        turned[k, 3, 3] = 1
-
-
-@njit(cache=True, parallel=True)
-def chain(parallel, axis_angle, coefficients, translation, skeleton, state):
-    """``chain_one`` for a batch."""
-    B = len(coefficients)
-    if parallel:
-        for b in prange(B):
-            chain_one(b, axis_angle, coefficients, translation, skeleton, state)
-    else:
-        for b in range(B):
-            chain_one(b, axis_angle, coefficients, translation, skeleton, state)
+                T[k, a, c] = local[k, a, c]
+        else:
+            x, y, z = T[p, a, 0], T[p, a, 1], T[p, a, 2]
+            T[k, a, 3] = T[p, a, 3] + (
+                x * (rest[k, 0] - rest[p, 0]) + y * (rest[k, 1] - rest[p, 1]) + z * (rest[k, 2] - rest[p, 2])
+            )
+            for c in range(3):
+                T[k, a, c] = x * local[k, 0, c] + y * local[k, 1, c] + z * local[k, 2, c]
+        motion[k, 9 + a] = T[k, a, 3]
+        for c in range(3):
+            motion[k, 3 * a + c] = T[k, a, c]
+            motion[k, 9 + a] -= T[k, a, c] * rest[k, c]
 
 
 @njit(cache=True)
-def unchain_one(b, skeleton, state, gradients, out):
-    """From gradients by motions, frames and the basis row to those by local rotations, shape and translation.
-
-    Children come before parents. ``gradients.motion`` is used up.
-    """
-    K, C = len(skeleton.parents), out.coefficients.shape[1]
-    local, rest, motion = state.local[b], state.rest_joints[b], state.motion[b]
-    by_motion, by_joint, by_local = gradients.motion[b], np.zeros((K, 3)), out.local[b]
-    placed = np.zeros((K, 3))
-    turned = np.zeros((K, 3, 3))
+def chain_one(b, given, model, state):
+    """Rotations, joints, motions and the row of the basis of one surface."""
+    K, C = len(model.parents), given.coefficients.shape[1]
+    local, rest, T = state.local[b], state.rest_joints[b], state.T[b]
+    state.row[b, 0] = 1
+    for s in range(C):
+        state.row[b, 1 + s] = given.coefficients[b, s]
+    for k in range(K):
+        if len(given.axis_angle) > 0:
+            rotation_of(given.axis_angle[b, k], local[k])
+        for a in range(3):
+            rest[k, a] = model.joint_template[k, a]
+            for s in range(C):
+                rest[k, a] += model.joint_directions[3 * k + a, s] * given.coefficients[b, s]
+        place_joint(k, model.parents[k], local, rest, T, state.motion[b])
+        if k > 0 and state.row.shape[1] > 1 + C:
+            first = 1 + C + 9 * (k - 1)
+            for e in range(9):
+                state.row[b, first + e] = local[k, e // 3, e % 3] - (1 if e % 4 == 0 else 0)
     for k in range(K):
         for a in range(3):
+            T[k, a, 3] += given.translation[b, a]
+            T[k, 3, a] = 0
+            state.joints[b, k, a] = T[k, a, 3]
+        T[k, 3, 3] = 1
+
+
+@njit(cache=True, parallel=True)
+def chain(parallel, given, model, state):
+    """``chain_one`` for a batch."""
+    B = len(given.coefficients)
+    if parallel:
+        for b in prange(B):
+            chain_one(b, given, model, state)
+    else:
+        for b in range(B):
+            chain_one(b, given, model, state)
+
+
+@njit(cache=True)
+def frame_gradients(b, gradients, by_frame, by_translation):
+    """What flows in from joints and frames; each part may be absent."""
+    for k in range(len(by_frame)):
+        for a in range(3):
             if len(gradients.T) > 0:
-                placed[k, a] += gradients.T[b, k, a, 3]
-                for c in range(3):
-                    turned[k, a, c] += gradients.T[b, k, a, c]
+                for c in range(4):
+                    by_frame[k, a, c] += gradients.T[b, k, a, c]
             if len(gradients.joints) > 0:
-                placed[k, a] += gradients.joints[b, k, a]
-            out.translation[b, a] += placed[k, a]
+                by_frame[k, a, 3] += gradients.joints[b, k, a]
+            by_translation[a] += by_frame[k, a, 3]
+
+
+@njit(cache=True)
+def unplace_joint(k, p, local, rest, motion, by_frame, by_joint, by_local):
+    """Reverse of ``place_joint``: from a joint's gradients to its parent's and to its local rotation."""
+    for a in range(3):
+        if p < 0:
+            by_joint[k, a] += by_frame[k, a, 3]
+            for c in range(3):
+                by_local[k, a, c] = by_frame[k, a, c]
+            continue
+        pulled = 0.0
+        by_frame[p, a, 3] += by_frame[k, a, 3]
+        for c in range(3):
+            pulled += motion[p, 3 * c + a] * by_frame[k, c, 3]
+            by_frame[p, a, c] += by_frame[k, a, 3] * (rest[k, c] - rest[p, c])
+            by_element = 0.0
+            for d in range(3):
+                by_frame[p, a, c] += by_frame[k, a, d] * local[k, c, d]
+                by_element += motion[p, 3 * d + a] * by_frame[k, d, c]
+            by_local[k, a, c] = by_element
+        by_joint[k, a] += pulled
+        by_joint[p, a] -= pulled
+
+
+@njit(cache=True)
+def unchain_one(b, given, model, state, gradients, out):
+    """From gradients by motions, frames and the basis row to those by the parameters.
+
+    Children come before parents, so that a joint's gradient is complete when it is passed on.
+    """
+    K, C = len(model.parents), given.coefficients.shape[1]
+    local, rest, motion, by_local = state.local[b], state.rest_joints[b], state.motion[b], out.local[b]
+    by_motion, by_frame, by_joint = gradients.motion[b], np.zeros((K, 3, 4)), np.zeros((K, 3))
+    frame_gradients(b, gradients, by_frame, out.translation[b])
     for k in range(K - 1, -1, -1):
-        p = skeleton.parents[k]
         for a in range(3):
-            placed[k, a] += by_motion[k, 9 + a]
+            by_frame[k, a, 3] += by_motion[k, 9 + a]
             for c in range(3):
-                turned[k, a, c] += by_motion[k, 3 * a + c] - by_motion[k, 9 + a] * rest[k, c]
+                by_frame[k, a, c] += by_motion[k, 3 * a + c] - by_motion[k, 9 + a] * rest[k, c]
                 by_joint[k, c] -= motion[k, 3 * a + c] * by_motion[k, 9 + a]
-        for a in range(3):
-            if p < 0:
-                by_joint[k, a] += placed[k, a]
-                by_local[k, a] = turned[k, a]
-                continue
-            pulled = 0.0
-            placed[p, a] += placed[k, a]
-            for c in range(3):
-                pulled += motion[p, 3 * c + a] * placed[k, c]
-                turned[p, a, c] += placed[k, a] * (rest[k, c] - rest[p, c])
-                gradient = 0.0
-                for d in range(3):
-                    turned[p, a, c] += turned[k, a, d] * local[k, c, d]
-                    gradient += motion[p, 3 * d + a] * turned[k, d, c]
-                if gradients.row.shape[1] > 1 + C:
-                    gradient += gradients.row[b, 1 + C + 9 * (k - 1) + 3 * a + c]
-                by_local[k, a, c] = gradient
-            by_joint[k, a] += pulled
-            by_joint[p, a] -= pulled
+        unplace_joint(k, model.parents[k], local, rest, motion, by_frame, by_joint, by_local)
+        if k > 0 and gradients.row.shape[1] > 1 + C:
+            for e in range(9):
+                by_local[k, e // 3, e % 3] += gradients.row[b, 1 + C + 9 * (k - 1) + e]
+        if len(given.axis_angle) > 0:
+            axis_angle_gradient(given.axis_angle[b, k], local[k], by_local[k], out.axis_angle[b, k])
     for s in range(C):
         total = float(gradients.row[b, 1 + s])
         for k in range(K):
             for a in range(3):
-                total += skeleton.joint_directions[3 * k + a, s] * by_joint[k, a]
+                total += model.joint_directions[3 * k + a, s] * by_joint[k, a]
         out.coefficients[b, s] = total
 
 
 @njit(cache=True, parallel=True)
-def unchain(parallel, axis_angle, skeleton, state, gradients, out):
-    """``unchain_one`` for a batch, then the gradient by axis-angle unless the pose was given as matrices."""
-    B, K = out.local.shape[:2]
+def unchain(parallel, given, model, state, gradients, out):
+    """``unchain_one`` for a batch."""
+    B = len(given.coefficients)
     if parallel:
         for b in prange(B):
-            unchain_one(b, skeleton, state, gradients, out)
-            for k in range(K if len(axis_angle) > 0 else 0):
-                axis_angle_gradient(
-                    axis_angle[b, k], state.local[b, k], out.local[b, k], out.axis_angle[b, k]
-                )
+            unchain_one(b, given, model, state, gradients, out)
     else:
         for b in range(B):
-            unchain_one(b, skeleton, state, gradients, out)
-            for k in range(K if len(axis_angle) > 0 else 0):
-                axis_angle_gradient(
-                    axis_angle[b, k], state.local[b, k], out.local[b, k], out.axis_angle[b, k]
-                )
+            unchain_one(b, given, model, state, gradients, out)
 
 
 @njit(cache=True, fastmath=True)
-def blend_motion(i, weights, motion, blended):
-    """The motion of one vertex of one surface."""
+def blend_motion(i, model, motion, blended):
+    """The motion of one vertex of one surface. Twelve scalars instead of the array were twice as slow."""
     blended[:] = 0
-    for n in range(weights.starts[i], weights.starts[i + 1]):
-        k, weight = weights.joints[n], weights.values[n]
+    for n in range(model.weight_starts[i], model.weight_starts[i + 1]):
+        k, weight = model.weight_joints[n], model.weight_values[n]
         for e in range(12):
             blended[e] += weight * motion[k, e]
 
 
 @njit(cache=True, fastmath=True)
-def pose_few_range(first, last, basis, weights, state, translation, rest, vertices):
+def pose_range(first, last, given, model, state, rest, vertices):
     """Rest surface and skinning of the vertices ``first`` to ``last``, one surface after the other."""
     blended = np.empty(12, vertices.dtype)
     N = state.row.shape[1]
     for b in range(len(vertices)):
+        for row in range(3 * first, 3 * last):
+            total = model.basis[row, 0]
+            for n in range(1, N):
+                total += model.basis[row, n] * state.row[b, n]
+            rest[b, row] = total
         for i in range(first, last):
-            for a in range(3):
-                total = basis[3 * i + a, 0]
-                for n in range(1, N):
-                    total += basis[3 * i + a, n] * state.row[b, n]
-                rest[b, 3 * i + a] = total
             x, y, z = rest[b, 3 * i], rest[b, 3 * i + 1], rest[b, 3 * i + 2]
-            blend_motion(i, weights, state.motion[b], blended)
+            blend_motion(i, model, state.motion[b], blended)
             for a in range(3):
                 moved = blended[3 * a] * x + blended[3 * a + 1] * y + blended[3 * a + 2] * z
-                vertices[b, i, a] = moved + blended[9 + a] + translation[b, a]
+                vertices[b, i, a] = moved + blended[9 + a] + given.translation[b, a]
 
 
 @njit(cache=True, parallel=True)
-def pose_few(chunks, basis, weights, state, translation, rest, vertices):
-    """``pose_few_range`` over all vertices, on this thread if there is one chunk."""
-    V = vertices.shape[1]
+def pose_few(chunks, given, model, state, rest, vertices):
+    """Joints, rest surface and skinning, on this thread if there is one chunk."""
+    B, V = vertices.shape[:2]
+    for b in range(B):
+        chain_one(b, given, model, state)
     if chunks == 1:
-        pose_few_range(0, V, basis, weights, state, translation, rest, vertices)
+        pose_range(0, V, given, model, state, rest, vertices)
     else:
         for c in prange(chunks):
-            first, last = c * V // chunks, (c + 1) * V // chunks
-            pose_few_range(first, last, basis, weights, state, translation, rest, vertices)
+            pose_range(c * V // chunks, (c + 1) * V // chunks, given, model, state, rest, vertices)
 
 
 @njit(cache=True, fastmath=True)
-def unpose_few(weights, state, rest, by_vertices, by_motion, by_rest, by_translation):
-    """Gradients by motions, rest surface and translation from that by the vertices."""
-    blended = np.empty(12, rest.dtype)
-    outer = np.empty(12, rest.dtype)
+def unpose_range(first, last, model, state, rest, by_vertices, parts, c):
+    """Part ``c`` of the gradients by motions, basis row and translation, from that by the vertices."""
+    blended, outer = np.empty(12, rest.dtype), np.empty(12, rest.dtype)
+    N = state.row.shape[1]
     for b in range(len(rest)):
-        motion, gradient = state.motion[b], by_motion[b]
-        for i in range(by_vertices.shape[1]):
+        motion, by_motion, by_row = state.motion[b], parts.motion[c, b], parts.row[c, b]
+        for i in range(first, last):
             x, y, z = by_vertices[b, i, 0], by_vertices[b, i, 1], by_vertices[b, i, 2]
-            blend_motion(i, weights, motion, blended)
-            for c in range(3):
-                by_rest[b, 3 * i + c] = blended[c] * x + blended[3 + c] * y + blended[6 + c] * z
-                place = rest[b, 3 * i + c]
-                outer[c], outer[3 + c], outer[6 + c] = x * place, y * place, z * place
+            blend_motion(i, model, motion, blended)
+            for a in range(3):
+                place = rest[b, 3 * i + a]
+                outer[a], outer[3 + a], outer[6 + a] = x * place, y * place, z * place
             outer[9], outer[10], outer[11] = x, y, z
-            for n in range(weights.starts[i], weights.starts[i + 1]):
-                k, weight = weights.joints[n], weights.values[n]
+            for n in range(model.weight_starts[i], model.weight_starts[i + 1]):
+                k, weight = model.weight_joints[n], model.weight_values[n]
                 for e in range(12):
-                    gradient[k, e] += weight * outer[e]
-            by_translation[b, 0] += x
-            by_translation[b, 1] += y
-            by_translation[b, 2] += z
+                    by_motion[k, e] += weight * outer[e]
+            u = blended[0] * x + blended[3] * y + blended[6] * z
+            v = blended[1] * x + blended[4] * y + blended[7] * z
+            w = blended[2] * x + blended[5] * y + blended[8] * z
+            for n in range(N):
+                by_row[n] += (
+                    u * model.basis[3 * i, n] + v * model.basis[3 * i + 1, n] + w * model.basis[3 * i + 2, n]
+                )
+            parts.translation[c, b, 0] += x
+            parts.translation[c, b, 1] += y
+            parts.translation[c, b, 2] += z
+
+
+@njit(cache=True, parallel=True)
+def unpose_few(model, state, rest, by_vertices, parts):
+    """``unpose_range`` over all vertices; ``parts`` have one leading entry per chunk and are to be summed."""
+    V, chunks = by_vertices.shape[1], len(parts.motion)
+    if chunks == 1:
+        unpose_range(0, V, model, state, rest, by_vertices, parts, 0)
+    else:
+        for c in prange(chunks):
+            first, last = c * V // chunks, (c + 1) * V // chunks
+            unpose_range(first, last, model, state, rest, by_vertices, parts, c)

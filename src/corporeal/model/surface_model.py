@@ -211,14 +211,27 @@ class SurfaceModel:
             ValueError: batch sizes that do not match, more coefficients than directions, wrong joint count.
         """
         full = self.full_pose(pose)
+        tensors = self.tensors(full.values.dtype, full.values.device)
+        return self.posed_by(tensors, shape, full, expression, translation, correctives=correctives)
+
+    def posed_by(
+        self,
+        tensors: ModelTensors,
+        shape: Float[Tensor, "b s"] | None,
+        full: FullPose,
+        expression: Float[Tensor, "c e"] | None = None,
+        translation: Float[Tensor, "d 3"] | None = None,
+        *,
+        correctives: bool = True,
+    ) -> PosedSurface:
+        """The same by tensors of this model in the pose's dtype on its device; see ``SurfaceModule``."""
         batch, dtype, device = full.batch, full.values.dtype, full.values.device
         coefficients = self._shape_and_expression(shape, expression, batch, dtype, device)
         if translation is None:
             translation = torch.zeros(batch, 3, dtype=dtype, device=device)
-        if translation.shape[0] not in (1, batch):
+        elif translation.shape[0] not in (1, batch):
             raise ValueError(f"translation: batch of {translation.shape[0]} for {batch} poses")
         use_correctives = correctives and self.has_correctives
-        tensors = self.tensors(dtype, device)
         return posed_surface(tensors, coefficients, full, translation.expand(batch, 3), use_correctives)
 
     def _shape_and_expression(
@@ -231,7 +244,8 @@ class SurfaceModel:
             ("expression", expression, self.expression_count),
         ):
             if given is None:
-                columns.append(torch.zeros(batch, count, dtype=dtype, device=device))
+                if count:
+                    columns.append(torch.zeros(batch, count, dtype=dtype, device=device))
                 continue
             if given.shape[1] > count:
                 raise ValueError(f"{label}: {given.shape[1]} coefficients for {count} {label} directions")
@@ -241,9 +255,12 @@ class SurfaceModel:
                 raise ValueError(
                     f"{label}: {given.dtype} on {given.device}, but the pose is {dtype} on {device}"
                 )
-            missing = torch.zeros(batch, count - given.shape[1], dtype=dtype, device=device)
-            columns.append(torch.cat([given.expand(batch, -1), missing], dim=1))
-        return torch.cat(columns, dim=1)
+            columns.append(given if given.shape[0] == batch else given.expand(batch, -1))
+            if given.shape[1] < count:
+                columns.append(torch.zeros(batch, count - given.shape[1], dtype=dtype, device=device))
+        if not columns:
+            return torch.zeros(batch, 0, dtype=dtype, device=device)
+        return columns[0] if len(columns) == 1 else torch.cat(columns, dim=1)
 
 
 def _expand_coefficients(block: PoseBlock, coefficients: Tensor) -> Float[Tensor, "B D"]:
