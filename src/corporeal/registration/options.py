@@ -90,16 +90,16 @@ class RegistrationOptions:
         free: free-vertex stages, from wide to narrow.
     """
 
-    shape_count: int = 20
+    shape_count: int = 30
     correctives: bool = True
     limit_sigma: float = 0.05
     landmarks: LandmarkStage = field(default_factory=LandmarkStage)
     surface: tuple[SurfaceStage, ...] = (
-        SurfaceStage(1500, 600, 3e-3, 20e-3, 0.2, 0.3, 6e-3, 1.0, 8),
-        SurfaceStage(3000, 1500, 2e-3, 10e-3, 0.3, 0.3, 10e-3, 1.5, 10),
-        SurfaceStage(5000, 3000, 1e-3, 5e-3, 0.4, 0.2, 30e-3, 2.0, 15),
+        SurfaceStage(1500, 600.0, 3e-3, 20e-3, 0.2, 0.3, 6e-3, 1.0, 8),
+        SurfaceStage(3000, 1500.0, 2e-3, 10e-3, 0.3, 0.3, 10e-3, 1.5, 10),
+        SurfaceStage(5000, 3000.0, 1e-3, 5e-3, 0.4, 0.2, 30e-3, 2.0, 15),
     )
     free: tuple[FreeStage, ...] = (
-        FreeStage(8000, 8000, 1e-3, 4e-3, 0.4, 0.10, 10e-3, 2.0, 4),
-        FreeStage(16000, 16000, 0.5e-3, 2e-3, 0.5, 0.10, 10e-3, 3.0, 5),
+        FreeStage(8000, 8000.0, 1e-3, 4e-3, 0.4, 0.10, 10e-3, 2.0, 4),
+        FreeStage(16000, 16000.0, 0.5e-3, 2e-3, 0.5, 0.10, 10e-3, 3.0, 5),
     )
