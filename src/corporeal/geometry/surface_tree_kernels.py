@@ -2,9 +2,9 @@
 
 Layout. Triangles stand in leaf order: (F, 12) rows of corner a, edges ab and ac, then ab·ab, ab·ac, ac·ac. A
 node holds the boxes of its W children side by side, (6, W) float32: lower x y z, upper x y z. Its children
-are (W,) int32: a node, or ``~t`` for triangle t, or nothing, which is ``~t`` for a t beyond the last triangle.
-Parents stand before their children. W is read from the arrays here: numba's cache does not notice a constant
-that has changed in another file, so only the module that needs it as a constant, to vectorise, holds it.
+are (W,) int32: a node, or ``~t`` for triangle t, or nothing: ``~t`` for a t beyond the last triangle. Parents
+stand before their children. W is read from the arrays here: numba's cache does not notice a constant that has
+changed in another file, so only the module that needs it as a constant, to vectorise, holds it.
 
 Boxes are in coordinates that put the mesh into the cube [-1, 1], and are grown by PAD. That covers every
 rounding of the float32 arithmetic in a query (which adds its own margin for far points): a box never hides
