@@ -127,6 +127,11 @@ def test_a_large_mesh_on_several_threads(rng, monkeypatch):
         _compare(model, rng, _parameters(rng, batch, torch.float64), True, "axis_angle")
 
 
+def test_a_large_batch_in_several_passes(model, rng, monkeypatch):
+    monkeypatch.setattr("corporeal.model.fast_path._PASS_BYTES", 1)
+    _compare(model, rng, _parameters(rng, 37, torch.float64), True, "axis_angle")
+
+
 def test_a_vertex_without_weights_stays_at_the_translation(rng):
     model = SYNTHETIC["random_model"](rng)
     weights = model.skinning_weights.copy()

@@ -20,6 +20,11 @@ _MANY_FROM = 4
 _PARALLEL_BASIS = 3_000_000
 _PARALLEL_JOINTS = 1_000
 _CHUNKS = 16
+_SPLITS = 8  # of the vertices on the way back, each with its own sums
+# A pass writes the rest surfaces of some of a large batch by a matrix product and skins them while they are in
+# the cache. 16 MB also come from memory that the allocator has mapped already; the whole 32 MB of 256 bodies
+# took a third longer, passes of 2 MB twice as long.
+_PASS_BYTES = 16_000_000
 
 
 class Parameters(NamedTuple):
@@ -98,14 +103,14 @@ class _Posing(torch.autograd.Function):
         N = model.basis.shape[1] if correctives else 1 + coefficients.shape[1]
         state = _blank_state(rotation, N, B if few else _whole_lanes(B), joints, T_world_joint)
         if few:
-            rest = np.empty((B, len(model.basis)), state.row.dtype)
+            rests = [np.empty((B, len(model.basis)), state.row.dtype)]
             chunks = _few_chunks(B, tensors)
-            skinning_kernels.pose_few(chunks, given, model, state, rest, vertices.numpy())
+            skinning_kernels.pose_few(chunks, given, model, state, rests[0], vertices.numpy())
         else:
             skinning_kernels.chain(B * K > _PARALLEL_JOINTS, given, model, state)
-            rest = torch.mm(tensors.basis[:, :N], torch.from_numpy(state.row).T).numpy()
-            lane_kernels.pose_many(model, _to_lanes(state.motion), rest, given.translation, vertices.numpy())
-        ctx.given, ctx.state, ctx.rest = given, state, rest
+            rests = _pose_many(tensors, given, state, vertices.numpy())
+        ctx.given, ctx.state = given, state
+        ctx.rests = rests if any(ctx.needs_input_grad) else None
         return vertices, joints, T_world_joint
 
     @staticmethod
@@ -162,29 +167,56 @@ def _whole_lanes(batch: int) -> int:
 
 def _skinning_gradients(ctx: Any, by_vertices: Tensor | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Gradients by motions, basis row and translation from that by the vertices."""
-    state, rest, model = ctx.state, ctx.rest, ctx.tensors.cpu_arrays
-    B = len(state.joints)
+    state, model = ctx.state, ctx.tensors.cpu_arrays
+    B, dtype = len(state.joints), state.row.dtype
     if by_vertices is None:
-        return np.zeros_like(state.motion), np.zeros_like(state.row), np.zeros((B, 3), rest.dtype)
+        return np.zeros_like(state.motion), np.zeros_like(state.row), np.zeros((B, 3), dtype)
     pull = by_vertices.contiguous()
-    if B < _MANY_FROM:
-        chunks = _few_chunks(B, ctx.tensors)
-        parts = SkinGradients(
-            *(
-                np.zeros((chunks, *shape), rest.dtype)
-                for shape in (state.motion.shape, state.row.shape, (B, 3))
-            )
-        )
-        skinning_kernels.unpose_few(model, state, rest, pull.numpy(), parts)
-        if chunks == 1:
-            return parts.motion[0], parts.row[0], parts.translation[0]
-        return parts.motion.sum(axis=0), parts.row.sum(axis=0), parts.translation.sum(axis=0)
-    motion = _to_lanes(state.motion)
-    by_motion = np.zeros((max(1, 4 // len(motion)), *motion.shape), rest.dtype)
-    by_rest = torch.empty(rest.shape, dtype=by_vertices.dtype)
-    lane_kernels.unpose_many(model, motion, rest, pull.numpy(), by_motion, by_rest.numpy())
-    by_row = torch.mm(by_rest.T, ctx.tensors.basis[:, : state.row.shape[1]])
-    return _from_lanes(by_motion.sum(axis=0)), by_row.numpy(), pull.sum(dim=1).numpy()
+    if B >= _MANY_FROM:
+        return *_unpose_many(ctx.tensors, state, ctx.rests, pull.numpy()), pull.sum(dim=1).numpy()
+    chunks = _few_chunks(B, ctx.tensors)
+    shapes = (state.motion.shape, state.row.shape, (B, 3))
+    parts = SkinGradients(*(np.zeros((chunks, *shape), dtype) for shape in shapes))
+    skinning_kernels.unpose_few(model, state, ctx.rests[0], pull.numpy(), parts)
+    if chunks == 1:
+        return parts.motion[0], parts.row[0], parts.translation[0]
+    return parts.motion.sum(axis=0), parts.row.sum(axis=0), parts.translation.sum(axis=0)
+
+
+def _passes(vertices: np.ndarray) -> list[slice]:
+    """Which surfaces of (B, V, 3) go together: whole lanes."""
+    surface_bytes = vertices.itemsize * vertices.shape[1] * 3
+    step = max(1, _PASS_BYTES // surface_bytes // lane_kernels.LANES) * lane_kernels.LANES
+    return [slice(first, first + step) for first in range(0, len(vertices), step)]
+
+
+def _pose_many(
+    tensors: ModelTensors, given: Parameters, state: BatchState, vertices: np.ndarray
+) -> list[np.ndarray]:
+    """Skin a large batch, pass by pass; the passes' rest surfaces (3 V, surfaces) are for the way back."""
+    basis, rows = tensors.basis[:, : state.row.shape[1]], torch.from_numpy(state.row)
+    rests = []
+    for part in _passes(vertices):
+        rests.append(torch.mm(basis, rows[part].T).numpy())
+        motion = _to_lanes(state.motion[part])
+        lane_kernels.pose_many(tensors.cpu_arrays, motion, rests[-1], given.translation[part], vertices[part])
+    return rests
+
+
+def _unpose_many(
+    tensors: ModelTensors, state: BatchState, rests: list[np.ndarray], by_vertices: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Gradients by motions and basis row of a large batch, pass by pass."""
+    basis = tensors.basis[:, : state.row.shape[1]]
+    by_motion, by_row = np.empty_like(state.motion), np.empty_like(state.row)
+    for part, rest in zip(_passes(by_vertices), rests, strict=True):
+        motion = _to_lanes(state.motion[part])
+        by_lanes = np.zeros((_SPLITS, *motion.shape), rest.dtype)
+        by_rest = np.empty_like(rest)
+        lane_kernels.unpose_many(tensors.cpu_arrays, motion, rest, by_vertices[part], by_lanes, by_rest)
+        by_motion[part] = _from_lanes(by_lanes.sum(axis=0))
+        torch.mm(torch.from_numpy(by_rest).T, basis, out=torch.from_numpy(by_row[part]))
+    return by_motion, by_row
 
 
 def _reference_gradients(

@@ -88,21 +88,37 @@ def unpose_vertex(i, lane, model, motion, rest, work, by_motion, by_rest):
             by_motion[k, e] += weight * outer[e]
 
 
+@njit(cache=True, fastmath=True)
+def unpose_tile(tile, lane, model, motion, rest, by_vertices, by_motion, by_rest):
+    """``unpose_vertex`` for the vertices of ``tile`` (first, last) of LANES surfaces, read one by one."""
+    first, last = tile
+    pull = np.zeros((TILE, 3 * LANES), rest.dtype)
+    work = np.empty((2, 12 * LANES), rest.dtype)
+    for s in range(min(LANES, len(by_vertices) - lane)):
+        for i in range(last - first):
+            for a in range(3):
+                pull[i, a * LANES + s] = by_vertices[lane + s, first + i, a]
+    for i in range(first, last):
+        for e in range(3 * LANES):
+            work[1, 9 * LANES + e] = pull[i - first, e]
+        unpose_vertex(i, lane, model, motion, rest, work, by_motion, by_rest)
+
+
 @njit(cache=True, parallel=True)
 def unpose_many(model, motion, rest, by_vertices, by_motion, by_rest):
     """Gradients by motions and rest surface.
 
     ``by_motion`` (splits, blocks, K, 12 * LANES) is to be summed over the splits of the vertices, which give
-    every thread its own where there is one block only.
+    every thread its own. Blocks run inside the tiles, so that ``rest`` and ``by_rest`` are walked once.
     """
-    B, V = by_vertices.shape[:2]
+    V = by_vertices.shape[1]
     splits, blocks = by_motion.shape[:2]
-    for task in prange(splits * blocks):
-        split, block = task // blocks, task % blocks
-        lane = block * LANES
-        work = np.zeros((2, 12 * LANES), rest.dtype)
-        for i in range(split * V // splits, (split + 1) * V // splits):
-            for s in range(min(LANES, B - lane)):
-                for a in range(3):
-                    work[1, (9 + a) * LANES + s] = by_vertices[lane + s, i, a]
-            unpose_vertex(i, lane, model, motion[block], rest, work, by_motion[split, block], by_rest)
+    for split in prange(splits):
+        end = (split + 1) * V // splits
+        for first in range(split * V // splits, end, TILE):
+            last = min(first + TILE, end)
+            for block in range(blocks):
+                unpose_tile(
+                    (first, last), block * LANES, model, motion[block], rest, by_vertices,
+                    by_motion[split, block], by_rest,
+                )  # fmt: skip
