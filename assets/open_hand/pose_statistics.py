@@ -8,7 +8,7 @@ from corporeal.model.statistics import PoseBlock, PoseMixture
 
 from .rig import FINGERS
 
-# Flexion, spread and twist of the finger joints in degrees, as textbooks of the hand give them, rounded outward.
+# Flexion, spread and twist of the finger joints in degrees: usual clinical ranges, rounded outward.
 _LIMITS_DEG = (
     ((-30, 100), (-25, 25), (-20, 20)),
     ((-10, 115), (-6, 6), (-8, 8)),

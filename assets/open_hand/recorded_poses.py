@@ -1,8 +1,8 @@
 """Recorded hand poses (Intel RealSense hand tracking samples, Apache-2.0) carried over to the hand's joints.
 
-The recording's bones have z along the bone, positive x turns flex a finger, and equal frames of all bones mean a
-flat hand; the map of its palm frame to ours is a quarter turn. Every bone's orientation is compared with the
-orientation that the same bone has at our zero pose, so that natural spread and the thumb's rest are kept.
+The recording's bones have z along the bone, positive x turns flex a finger, and equal frames of all bones
+mean a flat hand; the map of its palm frame to ours is a quarter turn. Every bone's orientation is compared
+with the one it has at our zero pose, so that natural spread and the thumb's rest are kept.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def read_poses(folder: Path) -> np.ndarray:
 
 
 def carried_over(recorded: np.ndarray, joints: np.ndarray, tips: np.ndarray) -> np.ndarray:
-    """(N, 45) axis-angle of joints 1..15, radians, for a hand with these joints (16, 3) and tips at zero pose."""
+    """(N, 45) axis-angle of joints 1..15, radians, for a hand with these joints (16, 3) and tips."""
     orientation = Rotation.from_quat(recorded[:, :, 3:].reshape(-1, 4)).as_matrix().reshape(-1, 17, 3, 3)
     palm = orientation[:, _PALM]
     turned = np.tile(np.eye(3), (len(recorded), 16, 1, 1))
@@ -41,7 +41,7 @@ def carried_over(recorded: np.ndarray, joints: np.ndarray, tips: np.ndarray) -> 
         chain = np.vstack([joints[3 * f + 1 : 3 * f + 4], tips[f]])
         for k, bone in enumerate(_BONES[finger]):
             now = _A @ np.swapaxes(palm, 1, 2) @ orientation[:, bone]
-            # The source's tip bone of the thumb ends at the nail: its last bone is taken to be straight at rest.
+            # The source's tip bone of the thumb ends at the nail: the last bone is taken as straight at rest.
             start = min(k, 1) if finger == "thumb" else k
             turned[:, 3 * f + 1 + k] = now @ _zero_frame(finger, chain[start + 1] - chain[start], chain).T
     local = np.swapaxes(turned[:, PARENTS[1:]], 2, 3) @ turned[:, 1:]
@@ -49,7 +49,7 @@ def carried_over(recorded: np.ndarray, joints: np.ndarray, tips: np.ndarray) -> 
 
 
 def _zero_frame(finger: str, bone: np.ndarray, chain: np.ndarray) -> np.ndarray:
-    """Frame of a bone at our zero pose, in the recording's manner: z along it, y (x for the thumb) to the nail."""
+    """Frame of a bone at zero pose in the recording's manner: z along it, y (thumb: x) to the nail."""
     z = bone / np.linalg.norm(bone)
     if finger != "thumb":
         y = np.array([0.0, 1, 0])
@@ -63,7 +63,7 @@ def _zero_frame(finger: str, bone: np.ndarray, chain: np.ndarray) -> np.ndarray:
 
 
 def thumb_nail(chain: np.ndarray) -> np.ndarray:
-    """Direction in which the thumb's nail looks at zero pose: away from the palm's middle, across the thumb."""
+    """Where the thumb's nail looks at zero pose: away from the palm's middle, across the thumb."""
     along = chain[3] - chain[0]
     along = along / np.linalg.norm(along)
     # The pad looks at the little finger's side and a little down: measured on the template (see README).

@@ -53,8 +53,8 @@ def in_hand_frame(vertices: np.ndarray, joints: np.ndarray, tips: np.ndarray) ->
 def flattened(hand: PosedHand, weights: np.ndarray) -> PosedHand:
     """The hand with straight fingers in the plane of the palm: posed by its own skinning.
 
-    Every finger keeps its natural spread: its bones are turned into the direction from knuckle to tip, laid into
-    the plane. The thumb keeps its rest pose, beside the palm.
+    Every finger keeps its natural spread: its bones are turned into the direction from knuckle to tip, laid
+    into the plane. The thumb keeps its rest pose, beside the palm.
     """
     target = np.tile(np.eye(3), (16, 1, 1))
     for f, finger in enumerate(FINGERS):

@@ -1,7 +1,7 @@
 """The shape space: PCA over identities, each given smooth variation that the generator does not know.
 
 The generator's hands are nearly seven-dimensional: long fingers are long together. Real ones are not, so
-every sample also gets its own finger lengths and girths, its own palm, and low-frequency bumps of a millimetre.
+every sample also gets its own finger lengths and girths, its own palm, and smooth bumps of a millimetre.
 """
 
 from __future__ import annotations
