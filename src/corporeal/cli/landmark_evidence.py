@@ -9,7 +9,7 @@ import numpy as np
 from corporeal.cli.errors import CommandError
 from corporeal.model.surface_model import SurfaceModel
 from corporeal.registration.register import LandmarkEvidence
-from corporeal.scans.detector import DetectorMissing
+from corporeal.scans.detector import DetectorMissingError, HandDetector
 from corporeal.scans.landmark_files import LandmarkFileError, read_landmarks
 from corporeal.scans.landmarks import find_hand_landmarks
 from corporeal.scans.scan import Scan
@@ -23,7 +23,8 @@ class LandmarkFinder:
 
     def __init__(self, model: SurfaceModel, file: Path | None) -> None:
         self._model = model
-        self._given = None
+        self._detector: HandDetector | None = None
+        self._given: dict[str, np.ndarray] | None = None
         if file is not None:
             try:
                 self._given = read_landmarks(file)
@@ -38,8 +39,10 @@ class LandmarkFinder:
         if set_name is None:
             return None, ["the model has no hand landmarks: orientation and side found by search"]
         try:
-            found = find_hand_landmarks(scan)
-        except DetectorMissing as error:
+            if self._detector is None:
+                self._detector = HandDetector()
+            found = find_hand_landmarks(scan, self._detector)
+        except DetectorMissingError as error:
             return None, [f"{error}; orientation and side found by search"]
         if not found.ok:
             return None, [f"{found.reason}; orientation and side found by search"]

@@ -1,0 +1,154 @@
+"""Landmarks of a raw hand scan with no manual step: virtual cameras, a 2D detector, robust triangulation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from corporeal.geometry.cameras import Pinhole
+from corporeal.geometry.triangulation import Triangulation, robust_triangulation
+from corporeal.scans.detector import LANDMARK_NAMES, DetectedHand, HandDetector
+from corporeal.scans.scan import Scan
+from corporeal.scans.virtual_cameras import cameras_around, picture, ring
+
+_SIZE = 320
+# A view agrees when half of its landmarks lie within this share of the picture.
+_TOLERANCE_COARSE, _TOLERANCE_FINE = 0.05, 0.025
+_FEWEST_VIEWS = 4
+# A hand with its wrist is about this long (metres); scans with an unknown unit come provisionally hand-sized.
+_HAND_LENGTH = 0.22
+
+
+@dataclass(frozen=True, eq=False)
+class HandLandmarks:
+    """What the views agree on, or why they do not.
+
+    Attributes:
+        ok: whether the landmarks may be used; ``reason`` says why not.
+        names: of the landmarks, MediaPipe's order.
+        points: (21, 3) metres, in the scan's frame.
+        spread_m: (21,) how far the views disagree about each point, metres.
+        side_score: probability of a right hand.
+        views_used: how many views agreed, of ``views_tried``.
+        reprojection_px: median residual of the agreeing views.
+    """
+
+    ok: bool
+    reason: str
+    names: tuple[str, ...] = LANDMARK_NAMES
+    points: Float[np.ndarray, "21 3"] = field(default_factory=lambda: np.full((21, 3), np.nan))
+    spread_m: Float[np.ndarray, " 21"] = field(default_factory=lambda: np.full(21, np.nan))
+    side_score: float = 0.5
+    views_used: int = 0
+    views_tried: int = 0
+    reprojection_px: float = float("nan")
+
+
+@dataclass(frozen=True, eq=False)
+class _Views:
+    """Cameras that saw a hand, and what they saw."""
+
+    cameras: list[Pinhole]
+    hands: list[DetectedHand]
+
+    def triangulated(self, tolerance: float) -> Triangulation | None:
+        if len(self.cameras) < 2:
+            return None
+        projections = np.array([camera.projection for camera in self.cameras])
+        pixels = np.array([hand.pixels for hand in self.hands])
+        return robust_triangulation(projections, pixels, tolerance * _SIZE)
+
+
+def find_hand_landmarks(scan: Scan, detector: HandDetector | None = None) -> HandLandmarks:
+    """Find the 21 landmarks and the side of the one hand in a scan.
+
+    A coarse ring looks at both ends of the scan's long axis (an arm may hang on the hand), then a finer set
+    of views frames the hand that was found, from palm and back.
+
+    Args:
+        scan: mesh or point cloud, in metres (a provisional scale will do).
+        detector: one that is loaded already, or None to load it here.
+
+    Raises:
+        DetectorMissingError: mediapipe is not installed.
+    """
+    if detector is None:
+        with HandDetector() as own:
+            return find_hand_landmarks(scan, own)
+    coarse, tried = _coarse_views(scan, detector)
+    rough = coarse.triangulated(_TOLERANCE_COARSE)
+    if rough is None or rough.agreeing.sum() < 3:
+        seen = len(coarse.cameras)
+        return HandLandmarks(False, f"the detector saw no hand that views agree on ({seen} of {tried} views)")
+    fine_cameras = _fine_cameras(scan, rough.points)
+    fine = _seen(scan, fine_cameras, detector)
+    tried += len(fine_cameras)
+    result = fine.triangulated(_TOLERANCE_FINE)
+    if result is None or result.agreeing.sum() < _FEWEST_VIEWS:
+        agree = 0 if result is None else int(result.agreeing.sum())
+        return HandLandmarks(False, f"virtual views disagree about the hand ({agree} of {tried} agree)")
+    return _landmarks(fine, result, tried)
+
+
+def _coarse_views(scan: Scan, detector: HandDetector) -> tuple[_Views, int]:
+    centred = scan.points - scan.points.mean(0)
+    axis = np.linalg.eigh(centred.T @ centred)[1][:, 2]
+    along = scan.points @ axis
+    cameras: list[Pinhole] = []
+    for sign in (1.0, -1.0):
+        end = scan.points[sign * along > (sign * along).max() - _HAND_LENGTH]
+        directions = ring(sign * axis, 12, (0.0,))
+        cameras += cameras_around(end, directions, sign * axis, size=_SIZE, fill=0.75)
+    return _seen(scan, cameras, detector), len(cameras)
+
+
+def _fine_cameras(scan: Scan, rough: Float[np.ndarray, "21 3"]) -> list[Pinhole]:
+    """Views on palm and back that frame the landmarks found, fingers up."""
+    fingers = rough[9] - rough[0]
+    across = rough[5] - rough[17]
+    fingers, across = fingers / np.linalg.norm(fingers), across / np.linalg.norm(across)
+    normal = np.cross(fingers, across)
+    normal /= np.linalg.norm(normal)
+    directions = []
+    for facing in (normal, -normal):
+        for turn in np.deg2rad([-50, -30, -10, 10, 30, 50]):
+            for tilt in np.deg2rad([-25, 5, 30]):
+                flat = np.cos(turn) * facing + np.sin(turn) * np.cross(fingers, facing)
+                directions.append(np.cos(tilt) * flat + np.sin(tilt) * fingers)
+    size = np.linalg.norm(rough - rough.mean(0), axis=1).max()
+    near = scan.points[np.linalg.norm(scan.points - rough.mean(0), axis=1) < 1.15 * size]
+    framed = near if len(near) > 10 else rough
+    return cameras_around(framed, np.array(directions), fingers, size=_SIZE, fill=0.7)
+
+
+def _seen(scan: Scan, cameras: list[Pinhole], detector: HandDetector) -> _Views:
+    kept, hands = [], []
+    for camera in cameras:
+        hand = detector.detect(picture(scan, camera))
+        if hand is not None:
+            kept.append(camera)
+            hands.append(hand)
+    return _Views(kept, hands)
+
+
+def _landmarks(views: _Views, result: Triangulation, tried: int) -> HandLandmarks:
+    used = np.flatnonzero(result.agreeing)
+    residuals = result.residuals[used]
+    # Pixels to metres at each point's depth, in the mean over the views that agree.
+    scale = np.mean(
+        [views.cameras[c].project(result.points)[1] / views.cameras[c].focal[0] for c in used], axis=0
+    )
+    spread = np.median(residuals, axis=0) * scale
+    odds = [views.hands[c].right_probability for c in used]
+    return HandLandmarks(
+        ok=True,
+        reason="views agree",
+        points=result.points,
+        spread_m=spread,
+        side_score=float(np.mean(odds)),
+        views_used=len(used),
+        views_tried=tried,
+        reprojection_px=float(np.median(residuals)),
+    )

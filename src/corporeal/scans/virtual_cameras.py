@@ -1,0 +1,61 @@
+"""Pictures of a scan from virtual cameras, made to look like what a hand detector was trained on."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from corporeal.geometry.cameras import Pinhole
+from corporeal.geometry.rasteriser import rasterise, shade, splat
+from corporeal.scans.scan import Scan
+
+# Flat shading with a skin-like tint on a plain background, whatever the scan's own colours: those are often
+# false colours or none.
+SKIN = (0.86, 0.66, 0.54)
+BACKGROUND = (0.42, 0.45, 0.50)
+FIELD_OF_VIEW = np.deg2rad(35.0)
+
+
+def cameras_around(
+    points: Float[np.ndarray, "N 3"],
+    directions: Float[np.ndarray, "C 3"],
+    up: Float[np.ndarray, "3"],
+    *,
+    size: int,
+    fill: float,
+) -> list[Pinhole]:
+    """One camera per viewing direction, framing the points; ``up`` is where the fingers are thought to point."""
+    return [
+        Pinhole.fit_to_frame(points, direction, up, fov=FIELD_OF_VIEW, size=(size, size), fill=fill)
+        for direction in directions
+    ]
+
+
+def ring(axis: Float[np.ndarray, "3"], count: int, tilts: tuple[float, ...]) -> Float[np.ndarray, "C 3"]:
+    """Viewing directions round an axis: ``count`` per tilt (radians above the plane across the axis)."""
+    axis = axis / np.linalg.norm(axis)
+    first = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    first /= np.linalg.norm(first)
+    second = np.cross(axis, first)
+    directions = []
+    for row, tilt in enumerate(tilts):
+        angles = 2 * np.pi * (np.arange(count) + 0.5 * (row % 2)) / count
+        across = np.cos(angles)[:, None] * first + np.sin(angles)[:, None] * second
+        directions.append(np.cos(tilt) * across + np.sin(tilt) * axis)
+    return np.concatenate(directions)
+
+
+def picture(scan: Scan, camera: Pinhole) -> UInt8[np.ndarray, "H W 3"]:
+    """The scan as one camera sees it."""
+    if scan.is_point_cloud:
+        spacing = np.sqrt(_area_guess(scan) / len(scan.points))
+        raster = splat(scan.points, scan.normals, camera, radius=1.2 * spacing)
+        return shade(raster, scan.points, None, scan.normals, SKIN, background=BACKGROUND)
+    raster = rasterise(scan.points, scan.faces, camera)
+    return shade(raster, scan.points, scan.faces, None, SKIN, background=BACKGROUND)
+
+
+def _area_guess(scan: Scan) -> float:
+    """Area of a surface that is about as large as the two larger sides of its box, seen from both sides."""
+    sides = np.sort(np.ptp(scan.points, axis=0))
+    return float(2.5 * sides[1] * sides[2])
