@@ -3,11 +3,14 @@
 import igl
 import numpy as np
 import pytest
+import torch
 import trimesh
 from scipy.spatial.transform import Rotation
 
 from corporeal.geometry.self_intersection import part_penetration, winding_numbers
 from corporeal.geometry.topology import boundary_loops, is_edge_manifold, signed_volume
+from corporeal.model.files import open_model
+from corporeal.model.pose import FullPose
 
 MILLIMETRE = 1e-3
 
@@ -161,6 +164,30 @@ def test_motion_and_order_of_labels_change_nothing() -> None:
     # The tips of all fingers lie in one plane: on it a vertex is inside or outside by the last bit.
     inside_before, inside_after = (np.unique(each.vertices[each.depths > 1e-9]) for each in (before, after))
     np.testing.assert_array_equal(inside_after, inside_before)
+
+
+@pytest.mark.parametrize(
+    "turns",
+    [
+        {},
+        {f"{finger}1": (0, 0, 0.9) for finger in ("index", "middle", "ring", "little")},
+        {f"{finger}1": (0, 0, -0.9) for finger in ("index", "middle", "ring", "little")},
+        # The thumb bends towards the palm in free air; the fan that closes the palm bulges round its vertices.
+        {"thumb1": (0.5, 0, -0.5), "thumb2": (0, -0.1, -0.1), "thumb3": (0.3, -0.4, 0.2)},
+    ],
+    ids=["flat", "flexed", "overstretched", "thumb"],
+)
+def test_no_false_alarm_on_the_open_hand(turns: dict[str, tuple[float, float, float]]) -> None:
+    model = open_model("hand")
+    pose = torch.zeros(1, len(model.joint_names), 3, dtype=torch.float64)
+    for joint, turn in turns.items():
+        pose[0, model.joint_names.index(joint)] = torch.tensor(turn, dtype=torch.float64)
+    shape = torch.zeros(1, model.shape_directions.shape[2], dtype=torch.float64)
+    labels = np.full(model.vertex_count, -1)
+    for label, members in enumerate(model.parts.values()):
+        labels[members] = label
+    vertices = model(shape=shape, pose=FullPose(pose)).vertices[0].numpy()
+    assert part_penetration(vertices, model.faces, labels).deepest == 0
 
 
 def test_a_negative_label_takes_no_part() -> None:
