@@ -172,7 +172,7 @@ def test_motion_and_order_of_labels_change_nothing() -> None:
         {},
         {f"{finger}1": (0, 0, 0.9) for finger in ("index", "middle", "ring", "little")},
         {f"{finger}1": (0, 0, -0.9) for finger in ("index", "middle", "ring", "little")},
-        # The thumb bends towards the palm in free air; the fan that closes the palm bulges round its vertices.
+        # The thumb bends in free air; the fan that closes the palm bulges round its vertices.
         {"thumb1": (0.5, 0, -0.5), "thumb2": (0, -0.1, -0.1), "thumb3": (0.3, -0.4, 0.2)},
     ],
     ids=["flat", "flexed", "overstretched", "thumb"],
