@@ -8,6 +8,9 @@ have, and get the same parameters in float32. smplx is called as its users call 
 
 from __future__ import annotations
 
+import corporeal  # first: it tells the thread pools of numba and torch not to spin against each other
+
+# isort: split
 import argparse
 import importlib.util
 import io
@@ -24,7 +27,6 @@ import smplx
 import torch
 from measure import Row, paired_ratio, report, seconds
 
-import corporeal  # noqa: F401  -- first: it tells the thread pools not to spin
 from corporeal.model.files import load_model
 from corporeal.model.pose import FullPose
 from corporeal.model.surface_model import SurfaceModel
@@ -61,7 +63,7 @@ CASES = (
 
 @dataclass(frozen=True)
 class Machine:
-    """Measured in this run: bytes per second of a large copy, read and written; flops per second of a product."""
+    """Measured in this run: bytes per second of a large copy, flops per second of a product."""
 
     bandwidth: float
     flops: float
@@ -169,6 +171,7 @@ def main() -> int:
     parser.add_argument("--repeats", type=int, default=30, help="pairs per row")
     options = parser.parse_args()
     machine = Machine.measure()
+    print(f"corporeal {corporeal.__version__}, {torch.get_num_threads()} threads; ", end="")
     print(f"{machine.bandwidth / 1e9:.0f} GB/s copied, {machine.flops / 1e9:.0f} GFLOP/s multiplied")
     rows = [row for case in CASES for row in measure(case, machine, options.repeats)]
     return report("skinning", rows, json_path=options.json, baseline=options.baseline)
