@@ -27,9 +27,9 @@ def _pixel_range(low, high, count):
 def triangle_setup(vertices, faces, lens, size, near):
     """Edge functions and pixel boxes; a face that no pixel can see gets an empty box.
 
-    A ray d meets the plane of the corners a, b, c with weights in the ratio d.(b x c) : d.(c x a) : d.(a x b).
-    They are perspective-correct, valid with corners behind the camera, and of exactly opposite sign on the two
-    sides of a shared edge, so that no ray slips between neighbours.
+    A ray d meets the plane of corners a, b, c with weights in the ratio d.(b x c) : d.(c x a) : d.(a x b).
+    They are perspective-correct, valid with corners behind the camera, and of exactly opposite sign on the
+    two sides of a shared edge, so that no ray slips between neighbours.
     """
     count = faces.shape[0]
     edges = np.empty((count, 10))
