@@ -26,7 +26,7 @@ _POINTS, _NOISE = 13_000, 0.25e-3
 _STOPS = [(20, a) for a in (0, 60, 120, 200, 280)] + [(-35, a) for a in (30, 250)]
 _DISTANCE = 0.45
 _ARM_SCANNED = 0.09  # metres behind the wrist
-# The open model's shapes come from the same phenotypes as this person; a slow relief of its own puts the person
+# The open model's shapes come from the same phenotypes as this person; a slow relief of its own puts it
 # outside that space (model-alone s2m 0.55 mm instead of 0.36): standard deviation and wavelength in metres.
 _RELIEF, _RELIEF_WAVE = 0.9e-3, 0.045
 
