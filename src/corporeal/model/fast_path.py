@@ -22,8 +22,8 @@ _PARALLEL_JOINTS = 1_000
 _CHUNKS = 16
 _SPLITS = 8  # of the vertices on the way back, each with its own sums
 # A pass writes the rest surfaces of a part of a large batch by a matrix product and skins them while they are
-# in the cache. 16 MB also come from memory that the allocator has mapped: the whole 32 MB of 256 bodies took a
-# third longer, passes of 2 MB twice as long.
+# in the cache. 16 MB also come from memory that the allocator has mapped: the whole 32 MB of 256 bodies took
+# a third longer, passes of 2 MB twice as long.
 _PASS_BYTES = 16_000_000
 
 

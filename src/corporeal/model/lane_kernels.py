@@ -8,8 +8,8 @@ tile, because callers want them by surface: writing three numbers at a time into
 import numpy as np
 from numba import njit, prange
 
-# The motions of 55 joints and their gradients are 21 kB each in float32 and share the first-level cache. With 16
-# lanes they did not: the way back took 1.6 times as long for 55 joints, and the way there 0.9 times.
+# The motions of 55 joints and their gradients are 21 kB each in float32 and share the first-level cache. With
+# 16 lanes they did not: the way back took 1.6 times as long for 55 joints, the way there 0.9 times.
 LANES = 8
 TILE = 32  # vertices; a tile of 8 surfaces in float32 is 3 kB
 
