@@ -9,16 +9,20 @@ import pkgutil
 
 import numpy as np
 import pytest
-from corporeal.geometry.closest_points import SurfaceTree
+import trimesh
 
 import corporeal.terms
+from corporeal.geometry.closest_points import SurfaceTree
 from corporeal.geometry.normals import face_normals
+from corporeal.geometry.self_intersection import PartSurfaces
 from corporeal.geometry.topology import boundary_edges, unique_edges
 from corporeal.solve.problem import PARAMETERS, Term
 from corporeal.terms.coupling import EdgeCoupling
 from corporeal.terms.distance import DistanceOptions
 from corporeal.terms.gaussian_prior import GaussianPrior
 from corporeal.terms.landmarks import LandmarkDistances
+from corporeal.terms.mesh_pattern import MeshPattern
+from corporeal.terms.part_separation import PartSeparation
 from corporeal.terms.pose_limits import PoseLimits
 from corporeal.terms.pose_mixture import MixturePrior
 from corporeal.terms.scan_to_surface import MovingSurface, ScanToSurface, open_sides
@@ -117,6 +121,24 @@ def _limits(rng, sigma):
     return PoseLimits("limits", slice(0, 6), limits, sigma), {PARAMETERS: 2 * rng.normal(size=7)}
 
 
+def _separation(rng, sigma):
+    """Two closed boxes of triangles, the one standing 2 mm in the other."""
+    first, faces = _box(rng)
+    second = first + [0.018, 0.003, 0.002]
+    vertices = np.concatenate([first, second])
+    faces = np.concatenate([faces, faces + len(first)])
+    labels = np.repeat([0, 1], len(first))
+    parts = PartSurfaces(vertices, faces, labels)
+    return PartSeparation("apart", "model", faces, parts, MeshPattern(faces, len(vertices)), sigma), {
+        "model": vertices
+    }
+
+
+def _box(rng, size=0.02):
+    mesh = trimesh.creation.box([size] * 3).subdivide().subdivide().subdivide()
+    return mesh.vertices + rng.normal(scale=1e-5, size=mesh.vertices.shape), mesh.faces.astype(np.int64)
+
+
 CASES = {
     "ScanToSurface": [
         ("plain", _scan_to_surface, {}),
@@ -127,6 +149,7 @@ CASES = {
         ("plain", _surface_to_scan, {}),
         ("sliding", _surface_to_scan, {"robust_scale": 2e-3, "tangential": 0.1}),
     ],
+    "PartSeparation": [("plain", _separation, {})],
     "EdgeCoupling": [("plain", _coupling, {})],
     "LandmarkDistances": [("plain", _landmarks, {}), ("robust", _landmarks, {"robust_scale": 3.0})],
     "GaussianPrior": [("plain", _gaussian, {})],

@@ -100,7 +100,7 @@ def _one(
             row = registration_row(path, None, result.reason, seconds, notes)
         else:
             on_step(f"{path.name}: writing")
-            row = registration_row(path, result, result.reason, seconds, [*scan.repairs, *notes])
+            row = registration_row(path, result, result.reason, seconds, [*result.scan.repairs, *notes])
             row["outputs"] = write_outputs(result, folder, row)
     except (ScanFileError, OSError) as error:
         row = registration_row(path, None, str(error), seconds, [])

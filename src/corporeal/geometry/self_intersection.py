@@ -11,7 +11,7 @@ from scipy.sparse import csgraph
 
 from corporeal.geometry import winding_kernels
 from corporeal.geometry.closest_points import SurfaceTree
-from corporeal.geometry.topology import capped_by_fans, remove_unreferenced, unique_edges
+from corporeal.geometry.topology import boundary_loops, capped_by_fans, remove_unreferenced, unique_edges
 
 BORDER = 0.01
 """Vertices within this distance of another part along the surface (metres) are not held against that part.
@@ -98,59 +98,89 @@ def part_penetration(
     Raises:
         ValueError: a boundary does not close, because faces at it are wound against one another.
     """
-    labels = np.unique(part_of_vertex[part_of_vertex >= 0])
-    edges = unique_edges(faces)
-    lengths = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
-    graph = sp.csr_matrix((lengths, edges.T), shape=(len(vertices), len(vertices)))
-    found = [
-        _inside_part(vertices, faces, part_of_vertex, int(label), graph, border) for label in labels.tolist()
-    ]
-    found = [part for part in found if len(part.vertices)]
-    if not found:
-        none = np.zeros(0, dtype=np.int64)
-        return PartPenetration(none, none, none, np.zeros(0), none, np.zeros((0, 3)))
-    names = ("vertices", "own_parts", "other_parts", "depths", "faces", "barycentric")
-    return PartPenetration(*(np.concatenate([getattr(part, name) for part in found]) for name in names))
+    return PartSurfaces(vertices, faces, part_of_vertex, border).penetration(vertices)
 
 
-def _inside_part(
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    part_of_vertex: np.ndarray,
-    label: int,
-    graph: sp.csr_matrix,
-    border: float,
-) -> PartPenetration:
-    """Vertices of all other parts inside the one called ``label``."""
-    own_faces = np.flatnonzero((part_of_vertex[faces] == label).all(axis=1))
-    part_vertices, part_faces, _ = remove_unreferenced(vertices, faces[own_faces])
-    candidates = np.flatnonzero((part_of_vertex >= 0) & (part_of_vertex != label))
-    if len(own_faces):
-        candidates = candidates[_in_oriented_box(vertices[candidates], part_vertices)]
-    else:
-        candidates = candidates[:0]
-    if len(candidates):
-        members = np.flatnonzero(part_of_vertex == label)
-        away = csgraph.dijkstra(graph, directed=False, indices=members, min_only=True, limit=border)
-        candidates = candidates[away[candidates] > border]
-    if len(candidates):
-        closed = capped_by_fans(part_vertices, part_faces)
-        candidates = candidates[winding_numbers(vertices[candidates], *closed) > 0.5]
-    if len(candidates):
-        whole = capped_by_fans(vertices, faces)
-        candidates = candidates[winding_numbers(vertices[candidates], *whole) > 1]
-    if not len(candidates):
-        none = np.zeros(0, dtype=np.int64)
-        return PartPenetration(none, none, none, np.zeros(0), none, np.zeros((0, 3)))
-    closest = SurfaceTree(part_vertices, part_faces).closest(vertices[candidates])
-    return PartPenetration(
-        candidates,
-        part_of_vertex[candidates],
-        np.full(len(candidates), label),
-        closest.distances,
-        own_faces[closest.faces],
-        closest.barycentric,
-    )
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """What depends on the topology alone: a part's faces, its closed surface, and who may pass into it."""
+
+    label: int
+    own_faces: Int[np.ndarray, " f"]
+    own_vertices: Int[np.ndarray, " v"]
+    local_faces: Int[np.ndarray, "f 3"]
+    closed: _Closed
+    candidates: Int[np.ndarray, " c"]
+
+
+class _Closed:
+    """A surface closed by fans: its loops are walked once, their middles follow the vertices."""
+
+    def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
+        self._loops = boundary_loops(faces)
+        self._faces = np.ascontiguousarray(capped_by_fans(vertices, faces)[1], dtype=np.int64)
+
+    def winding_numbers(self, points: np.ndarray, vertices: np.ndarray) -> np.ndarray:
+        middles = [vertices[loop].mean(axis=0, keepdims=True) for loop in self._loops]
+        return winding_numbers(points, np.concatenate([vertices, *middles]), self._faces)
+
+
+class PartSurfaces:
+    """The parts of one topology, for surfaces that move: distances along the mesh are measured once."""
+
+    def __init__(
+        self,
+        vertices: Float[np.ndarray, "V 3"],
+        faces: Int[np.ndarray, "F 3"],
+        part_of_vertex: Int[np.ndarray, " V"],
+        border: float = BORDER,
+    ) -> None:
+        """Take apart a surface; arguments and errors as of ``part_penetration``."""
+        edges = unique_edges(faces)
+        lengths = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
+        graph = sp.csr_matrix((lengths, edges.T), shape=(len(vertices), len(vertices)))
+        self._part_of_vertex = part_of_vertex
+        self._whole = _Closed(vertices, faces)
+        self._parts: list[_Part] = []
+        for label in np.unique(part_of_vertex[part_of_vertex >= 0]).tolist():
+            own_faces = np.flatnonzero((part_of_vertex[faces] == label).all(axis=1))
+            if not len(own_faces):
+                continue
+            own, local_faces, own_vertices = remove_unreferenced(vertices, faces[own_faces])
+            members = np.flatnonzero(part_of_vertex == label)
+            away = csgraph.dijkstra(graph, directed=False, indices=members, min_only=True, limit=border)
+            candidates = np.flatnonzero((part_of_vertex >= 0) & (part_of_vertex != label) & (away > border))
+            self._parts.append(
+                _Part(label, own_faces, own_vertices, local_faces, _Closed(own, local_faces), candidates)
+            )
+
+    def penetration(self, vertices: Float[np.ndarray, "V 3"]) -> PartPenetration:
+        """Vertices inside another part, with the surface moved to ``vertices`` (V, 3), metres."""
+        found = [inside for part in self._parts if (inside := self._inside(part, vertices)) is not None]
+        if not found:
+            none = np.zeros(0, dtype=np.int64)
+            return PartPenetration(none, none, none, np.zeros(0), none, np.zeros((0, 3)))
+        names = ("vertices", "own_parts", "other_parts", "depths", "faces", "barycentric")
+        return PartPenetration(*(np.concatenate([getattr(part, name) for part in found]) for name in names))
+
+    def _inside(self, part: _Part, vertices: np.ndarray) -> PartPenetration | None:
+        own = vertices[part.own_vertices]
+        candidates = part.candidates[_in_oriented_box(vertices[part.candidates], own)]
+        for closed, surface, least in ((part.closed, own, 0.5), (self._whole, vertices, 1.0)):
+            if not len(candidates):
+                return None
+            candidates = candidates[closed.winding_numbers(vertices[candidates], surface) > least]
+        if not len(candidates):
+            return None
+        closest = SurfaceTree(own, part.local_faces).closest(vertices[candidates])
+        return PartPenetration(
+            candidates,
+            self._part_of_vertex[candidates],
+            np.full(len(candidates), part.label),
+            closest.distances,
+            part.own_faces[closest.faces],
+            closest.barycentric,
+        )
 
 
 def _in_oriented_box(points: np.ndarray, part_vertices: np.ndarray) -> Bool[np.ndarray, " _"]:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from corporeal.geometry.self_intersection import part_penetration
 from corporeal.registration.measures import SurfaceDistances
 from corporeal.registration.registration import Status
 
@@ -81,10 +80,4 @@ def verdict_of(signals: dict[str, float], bounds: Bounds) -> Verdict:
 
 
 def _deepest(fitter: Fitter, vertices: np.ndarray) -> float:
-    parts = fitter.model.parts
-    if not parts:
-        return 0.0
-    part_of_vertex = np.zeros(fitter.model.vertex_count, dtype=np.int64)
-    for label, members in enumerate(parts.values(), start=1):
-        part_of_vertex[members] = label
-    return part_penetration(vertices, fitter.model.faces, part_of_vertex).deepest
+    return 0.0 if fitter.parts is None else fitter.parts.penetration(vertices).deepest

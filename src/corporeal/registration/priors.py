@@ -19,11 +19,17 @@ _UNKNOWN = 0.5
 
 
 def prior_terms(
-    model: SurfaceModel, columns: ParameterColumns, *, pose_prior_scale: float, limit_sigma: float
+    model: SurfaceModel,
+    columns: ParameterColumns,
+    *,
+    shape_sigma: float,
+    pose_prior_scale: float,
+    limit_sigma: float,
 ) -> list[Term]:
-    """Unit-variance shape prior; per pose block its mixture, Gaussian or a weak pull to zero; limits."""
+    """Shape prior; per pose block its mixture, Gaussian or a weak pull to zero; limits."""
     shape_size = columns.shape.stop - columns.shape.start
-    terms: list[Term] = [GaussianPrior.isotropic("shape prior", columns.shape, np.zeros(shape_size), 1.0)]
+    mean = np.zeros(shape_size)
+    terms: list[Term] = [GaussianPrior.isotropic("shape prior", columns.shape, mean, shape_sigma)]
     for block in model.pose_blocks:
         where = _columns_of(block, columns)
         terms.append(_pose_prior(block, where, pose_prior_scale))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -157,6 +158,7 @@ def _measured(
     fitter: Fitter, vector: np.ndarray, vertices: np.ndarray, seconds: dict[str, float]
 ) -> Registration:
     model, scan = fitter.model, fitter.target.scan
+    scan = dataclasses.replace(scan, repairs=fitter.target.measured.repairs)
     posed = fitter.fields.evaluated(vector)
     beyond = beyond_cut(scan.points, model.cut, posed)
     distances = scan_to_mesh(fitter.surface, vertices, scan.points, beyond)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from corporeal.geometry.self_intersection import PartSurfaces
 from corporeal.geometry.topology import unique_edges
 from corporeal.model.landmarks import LandmarkSet
 from corporeal.model.surface_model import SurfaceModel
@@ -20,6 +21,7 @@ from corporeal.terms.coupling import EdgeCoupling
 from corporeal.terms.distance import DistanceOptions
 from corporeal.terms.landmarks import LandmarkDistances
 from corporeal.terms.model_fields import LANDMARKS, MODEL, ModelFields
+from corporeal.terms.part_separation import PartSeparation
 from corporeal.terms.scan_to_surface import MovingSurface, ScanToSurface
 from corporeal.terms.surface_to_scan import SurfaceToScan
 
@@ -61,17 +63,18 @@ class Fitter:
             correctives=options.correctives,
         )
         self.surface = MovingSurface(model.template, model.faces)
+        self.parts = _parts(model)
 
     def fit_landmarks(self, start: Float[np.ndarray, " Q"], stage: LandmarkStage) -> Solution:
         """Pose, shape and place from landmarks and priors alone."""
-        terms = self._priors(stage.pose_prior_scale)
+        terms = self._priors(stage.shape_sigma, stage.pose_prior_scale)
         terms += self._landmark_terms(stage.sigma, stage.robust_scale)
         return self._solve_model(terms, start, stage.iterations)
 
     def fit_surface(self, start: Float[np.ndarray, " Q"], stage: SurfaceStage) -> Solution:
         """Pose, shape and place from distances both ways."""
         options = DistanceOptions(stage.sigma, stage.robust_scale, _TANGENTIAL, stage.minimum_cosine)
-        terms = self._priors(stage.pose_prior_scale)
+        terms = self._priors(stage.shape_sigma, stage.pose_prior_scale)
         terms += self._landmark_terms(stage.landmark_sigma, 3.0)
         terms.append(self._data_term(MODEL, start, stage.points, stage.observations, options))
         if self.target.surface is not None and stage.scan_share > 0:
@@ -80,6 +83,7 @@ class Fitter:
             terms.append(
                 SurfaceToScan("surface to scan", MODEL, self.surface, self.target.surface, weights, options)
             )
+        terms += self._separation(MODEL, stage.separation_sigma)
         return self._solve_model(terms, start, stage.iterations)
 
     def fit_free(
@@ -87,9 +91,10 @@ class Fitter:
     ) -> Solution:
         """Free vertices, coupled to a model that follows them (equation 5)."""
         options = DistanceOptions(stage.sigma, stage.robust_scale, 1.0, stage.minimum_cosine)
-        terms = self._priors(stage.pose_prior_scale)
+        terms = self._priors(stage.shape_sigma, stage.pose_prior_scale)
         terms.append(self._data_term(FREE, start, stage.points, stage.observations, options))
         terms.append(self._coupling(stage))
+        terms += self._separation(FREE, stage.separation_sigma)
         problem = Problem(terms, self.fields.derive, self.fields.differentiate, free_field=FREE)
         limits = DoglegOptions(iterations=stage.iterations, relative_decrease=1e-3)
         return solve(problem, State(start, vertices), limits)
@@ -100,10 +105,11 @@ class Fitter:
         samples = self.target.samples
         return samples.kept(beyond_cut(samples.positions, self.model.cut, posed, _ARM_MARGIN))
 
-    def _priors(self, pose_prior_scale: float) -> list[Term]:
+    def _priors(self, shape_sigma: float, pose_prior_scale: float) -> list[Term]:
         return prior_terms(
             self.model,
             self.fields.columns,
+            shape_sigma=shape_sigma,
             pose_prior_scale=pose_prior_scale,
             limit_sigma=self.options.limit_sigma,
         )
@@ -125,6 +131,12 @@ class Fitter:
             "scan to surface", field, self.surface, near.positions, weights, near.normals, options
         )
 
+    def _separation(self, field: str, sigma: float) -> list[Term]:
+        if self.parts is None or np.isinf(sigma):
+            return []
+        pattern = self.surface.pattern
+        return [PartSeparation("separation", field, self.surface.faces, self.parts, pattern, sigma)]
+
     def _coupling(self, stage: FreeStage) -> EdgeCoupling:
         edges = unique_edges(self.model.faces)
         ends = self.model.template[edges]
@@ -142,3 +154,12 @@ class Fitter:
     def _solve_model(self, terms: list[Term], start: np.ndarray, iterations: int) -> Solution:
         problem = Problem(terms, self.fields.derive, self.fields.differentiate)
         return solve(problem, State(start), DoglegOptions(iterations=iterations, relative_decrease=1e-3))
+
+
+def _parts(model: SurfaceModel) -> PartSurfaces | None:
+    if len(model.parts) < 2:
+        return None
+    part_of_vertex = np.full(model.vertex_count, -1, dtype=np.int64)
+    for label, members in enumerate(model.parts.values()):
+        part_of_vertex[members] = label
+    return PartSurfaces(model.template, model.faces, part_of_vertex)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,6 +12,7 @@ from jaxtyping import Bool, Float
 from corporeal.geometry.closest_points import SurfaceTree
 from corporeal.geometry.normals import face_normals
 from corporeal.geometry.topology import boundary_edges
+from corporeal.scans.flat_patches import flat_patch
 from corporeal.scans.scan import Scan
 from corporeal.scans.surface_sampling import sample_surface
 from corporeal.terms.scan_to_surface import open_sides
@@ -44,15 +46,25 @@ class Target:
         self._seed = seed
 
     @cached_property
+    def measured(self) -> Scan:
+        """The scan without a flat cut: faces that closed it where nothing was seen, or a table."""
+        flat = flat_patch(self.scan)
+        if not flat.any():
+            return self.scan
+        share = flat.mean()
+        sentence = f"A flat patch ({share:.0%} of the faces) is no skin and was not fitted to."
+        return dataclasses.replace(self.scan, faces=self.scan.faces[~flat]).with_repair(sentence)
+
+    @cached_property
     def samples(self) -> SampledPoints:
         """Points spread over the scan's area, in random order."""
-        points, normals = sample_surface(self.scan, 40_000, seed=self._seed)
+        points, normals = sample_surface(self.measured, 40_000, seed=self._seed)
         return SampledPoints(points, None if self.scan.is_point_cloud else normals)
 
     @cached_property
     def surface(self) -> ScanSurface | None:
         """The scan's triangles, or None for a point cloud."""
-        scan = self.scan
+        scan = self.measured
         if scan.is_point_cloud:
             return None
         tree = SurfaceTree(scan.points, scan.faces)
