@@ -107,12 +107,13 @@ def _best_start(
 ) -> tuple[Fitter, Float[np.ndarray, " Q"]] | str:
     """First rough surface fit per side that is in question; the one that lies closer is kept."""
     best: tuple[float, Fitter, np.ndarray] | None = None
+    target = Target(scan)
     for candidate in _sides_in_question(model, evidence, side):
         sided = model_of_side(model, candidate)
         starts = (
-            search_starts(sided, scan, options)
+            search_starts(sided, target, options)
             if evidence is None
-            else _landmark_starts(sided, scan, evidence, options)
+            else _landmark_starts(sided, target, evidence, options)
         )
         for fitter, vector in starts:
             solution = fitter.fit_surface(vector, options.surface[0])
@@ -136,7 +137,7 @@ def _sides_in_question(
 
 
 def _landmark_starts(
-    model: SurfaceModel, scan: Scan, evidence: LandmarkEvidence, options: RegistrationOptions
+    model: SurfaceModel, target: Target, evidence: LandmarkEvidence, options: RegistrationOptions
 ) -> Iterator[tuple[Fitter, Float[np.ndarray, " Q"]]]:
     known = model.landmarks[evidence.set_name]
     names = [name for name in known.names if name in evidence.positions]
@@ -145,11 +146,11 @@ def _landmark_starts(
     sigmas = np.array([evidence.sigmas.get(name, 1.0) for name in names])
     shape_count = min(options.shape_count, model.shape_count)
     vector, scale = landmark_start(model, landmark_set, positions, 1 / sigmas**2, shape_count)
-    if scan.unit.name == "free":
-        scan = scan.with_scale(scan.unit.metres_per_unit / scale)
+    if target.scan.unit.name == "free":
+        target = target.scaled(1 / scale)
         positions = positions / scale
         vector, _ = landmark_start(model, landmark_set, positions, 1 / sigmas**2, shape_count)
-    fitter = Fitter(model, Target(scan), MeasuredLandmarks(landmark_set, positions, sigmas), options)
+    fitter = Fitter(model, target, MeasuredLandmarks(landmark_set, positions, sigmas), options)
     solution = fitter.fit_landmarks(vector, options.landmarks)
     yield fitter, solution.state.parameters
 

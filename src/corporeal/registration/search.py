@@ -20,7 +20,6 @@ from corporeal.registration.options import RegistrationOptions
 from corporeal.registration.stages import Fitter
 from corporeal.registration.starts import mean_pose, similarity, turned
 from corporeal.registration.target import Target
-from corporeal.scans.scan import Scan
 
 _DIRECTIONS = 12
 _ROLLS = 8
@@ -44,16 +43,15 @@ class _Placement:
 
 
 def search_starts(
-    model: SurfaceModel, scan: Scan, options: RegistrationOptions
+    model: SurfaceModel, target: Target, options: RegistrationOptions
 ) -> Iterator[tuple[Fitter, Float[np.ndarray, " Q"]]]:
     """The rigid placements of the mean pose that lie closest to the scan, best first.
 
     With the unit "free" every placement has its own scale, and the scan is brought to the model's.
     """
     shape = np.zeros(min(options.shape_count, model.shape_count))
-    target = Target(scan)
     tree = cKDTree(target.samples.first(4000).positions)
-    free_scale = scan.unit.name == "free"
+    free_scale = target.scan.unit.name == "free"
     placements = []
     for pose in (mean_pose(model), np.zeros((model.joint_count, 3))):
         vertices = evaluate(model, shape, pose, np.zeros(3)).vertices
@@ -63,8 +61,7 @@ def search_starts(
         settled = [_settled(placement, tree, iterations, free_scale=free_scale) for placement in placements]
         placements = sorted(settled, key=lambda placement: placement.cost)[:kept]
     for best in placements:
-        scaled = scan if best.scale == 1.0 else scan.with_scale(scan.unit.metres_per_unit / best.scale)
-        fitter = Fitter(model, target if best.scale == 1.0 else Target(scaled), None, options)
+        fitter = Fitter(model, target.scaled(1 / best.scale), None, options)
         yield fitter, turned(model, best.pose, shape, best.R, best.t / best.scale)
 
 

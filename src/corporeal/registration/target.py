@@ -45,6 +45,12 @@ class Target:
         self.scan = scan
         self._seed = seed
 
+    def scaled(self, factor: float) -> Target:
+        """The same scan with another estimate of its scale; itself where the factor is 1."""
+        if factor == 1.0:
+            return self
+        return Target(self.scan.with_scale(self.scan.unit.metres_per_unit * factor), seed=self._seed)
+
     @cached_property
     def measured(self) -> Scan:
         """The scan without a flat cut: faces that closed it where nothing was seen, or a table."""

@@ -1,0 +1,109 @@
+"""Where the 2D detector sees its landmarks on our hand: a landmark set of its own, "hand_21_detector".
+
+A detector's idea of a landmark is not a rig's joint. The model is rendered in many shapes and poses through
+the same virtual cameras that look at scans, its landmarks are triangulated, and each becomes a sparse,
+non-negative combination of nearby vertices and joints that follows them.
+
+    python assets/calibrate_detector.py [--samples 60]
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.optimize import nnls
+from scipy.spatial.transform import Rotation
+
+from corporeal.geometry.normals import vertex_normals
+from corporeal.model.files import load_model, save_model
+from corporeal.model.jacobian import Evaluated, evaluate
+from corporeal.model.landmarks import LandmarkSet
+from corporeal.model.surface_model import SurfaceModel
+from corporeal.scans.detector import LANDMARK_NAMES, HandDetector
+from corporeal.scans.landmarks import find_hand_landmarks
+from corporeal.scans.scan import Scan, Unit
+
+HAND = Path(__file__).resolve().parents[1] / "src/corporeal/model/open_models/hand.npz"
+SET_NAME = "hand_21_detector"
+_CANDIDATES = 60
+_RIDGE = 2e-3
+
+
+def sample(model: SurfaceModel, generator: np.random.Generator) -> Evaluated:
+    """A hand as people show it to a scanner: nearly flat to half closed, of any shape, turned at random."""
+    block = model.block("hand")
+    means = block.mixture.means if block.mixture is not None else block.mean[None]
+    share = generator.uniform(0, 0.5)
+    pose = np.zeros((model.joint_count, 3))
+    pose[list(block.joints)] = (share * means[generator.integers(len(means))]).reshape(-1, 3)
+    pose[1:] += 0.06 * generator.normal(size=(model.joint_count - 1, 3))
+    pose[0] = Rotation.random(random_state=int(generator.integers(1 << 30))).as_rotvec()
+    return evaluate(model, 0.8 * generator.normal(size=model.shape_count), pose, np.zeros(3))
+
+
+def observe(model: SurfaceModel, posed: Evaluated, detector: HandDetector) -> np.ndarray | None:
+    """The landmarks (21, 3) that the detector sees on a posed model, metres; None where it does not."""
+    normals = vertex_normals(posed.vertices, model.faces)
+    scan = Scan("model", posed.vertices, model.faces, normals, None, Unit("m", 1.0))
+    found = find_hand_landmarks(scan, detector)
+    return found.points if found.ok and found.side_score > 0.5 else None
+
+
+def fit_row(points: np.ndarray, anchors: np.ndarray, near: np.ndarray) -> np.ndarray:
+    """Non-negative weights of the anchors (samples, A, 3) that give a landmark's points (samples, 3)."""
+    strict = 10.0
+    A = anchors[:, near].transpose(0, 2, 1).reshape(-1, len(near))
+    system = np.vstack([A, np.full((1, len(near)), strict), _RIDGE * np.eye(len(near))])
+    right = np.concatenate([points.ravel(), [strict], np.zeros(len(near))])
+    weights, _ = nnls(system, right)
+    weights[weights < 1e-3 * weights.max()] = 0
+    row = np.zeros(anchors.shape[1])
+    row[near] = weights / weights.sum()
+    return row
+
+
+def calibrate(model: SurfaceModel, count: int, seed: int) -> tuple[LandmarkSet, np.ndarray]:
+    """The landmark set, and its residuals (21,) over the samples in metres."""
+    generator = np.random.default_rng(seed)
+    anchors, observed = [], []
+    with HandDetector() as detector:
+        for _ in range(count):
+            posed = sample(model, generator)
+            points = observe(model, posed, detector)
+            if points is not None:
+                anchors.append(np.concatenate([posed.vertices, posed.joints]))
+                observed.append(points)
+    print(f"the detector saw {len(observed)} of {count} samples")
+    anchor_array, points_array = np.array(anchors), np.array(observed)
+    rows, residuals = [], []
+    for k in range(21):
+        distance = np.median(np.linalg.norm(anchor_array - points_array[:, k, None], axis=2), axis=0)
+        near = np.argsort(distance)[:_CANDIDATES]
+        row = fit_row(points_array[:, k], anchor_array, near)
+        error = np.linalg.norm(np.einsum("a,sac->sc", row, anchor_array) - points_array[:, k], axis=1)
+        good = error < 2.5 * np.median(error)  # a sample whose views agreed on the wrong finger
+        rows.append(fit_row(points_array[good, k], anchor_array[good], near))
+        residuals.append(np.median(error[good]))
+    return LandmarkSet(LANDMARK_NAMES, sp.csr_matrix(np.array(rows)), model.vertex_count), np.array(residuals)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--samples", type=int, default=60)
+    parser.add_argument("--hand", type=Path, default=HAND)
+    options = parser.parse_args()
+    model = load_model(options.hand)
+    landmark_set, residuals = calibrate(model, options.samples, seed=0)
+    landmarks = {**model.landmarks, SET_NAME: landmark_set}
+    save_model(model.replace(landmarks=landmarks), options.hand, precision="float16")
+    for name, residual in zip(LANDMARK_NAMES, residuals, strict=True):
+        print(f"{name:12} median residual {1e3 * residual:.1f} mm")
+
+
+if __name__ == "__main__":
+    main()
