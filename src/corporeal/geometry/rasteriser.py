@@ -25,12 +25,14 @@ class Raster:
         depth: (H, W) z in the camera's frame, metres; infinite where nothing is seen.
         face: (H, W) index of the visible face (of the point for ``splat``); -1 where nothing is seen.
         barycentric: (H, W, 3) perspective-correct weights of the face's corners; zero where nothing is seen.
+        normals: (H, W, 3) world, of any length: blended over neighbouring discs by ``splat``; None for faces.
     """
 
     camera: Pinhole
     depth: Float[np.ndarray, "H W"]
     face: Int32[np.ndarray, "H W"]
     barycentric: Float[np.ndarray, "H W 3"]
+    normals: Float[np.ndarray, "H W 3"] | None = None
 
     @property
     def covered(self) -> np.ndarray:
@@ -73,33 +75,43 @@ def splat(
     points: Float[np.ndarray, "N 3"],
     normals: Float[np.ndarray, "N 3"] | None,
     camera: Pinhole,
-    radius: float,
+    radius: float | Float[np.ndarray, " N"],
     near: float = 1e-3,
 ) -> Raster:
     """Draws points as flat discs across their normals; ``Raster.face`` then holds point indices.
 
+    Where discs overlap, their normals are blended, so that a coarse cloud is shaded like the surface it was
+    sampled from (the idea of surface splatting, Zwicker et al. 2001, without its filter).
+
     Args:
         points: world points, metres.
-        normals: directions of any length but zero, either sign; None makes the discs face the camera.
+        normals: outward, of unit length; rows of zeros, or None, make the discs face the camera.
         camera: the view.
-        radius: of every disc, metres.
+        radius: of every disc or of each, metres.
         near: smallest depth that is drawn, metres, > 0; discs that reach it are left out.
 
     Raises:
         ValueError: ``radius`` or ``near`` not positive.
     """
     _check_near(near)
-    if not radius > 0:
-        raise ValueError(f"radius: must be positive, got {radius}")
+    radii = np.broadcast_to(np.asarray(radius, np.float64), len(points)).copy()
+    if not (radii > 0).all():
+        raise ValueError("radius: must be positive")
     local = np.ascontiguousarray(camera.to_camera(np.asarray(points, np.float64)))
-    turned = np.zeros_like(local) if normals is None else normals @ camera.T_camera_world[:3, :3].T
+    turned = np.zeros_like(local)
+    if normals is not None:
+        turned[:] = normals @ camera.T_camera_world[:3, :3].T
     depth, index = _blank(camera)
-    discs = np.ascontiguousarray(turned, np.float64)
     threads = numba.get_num_threads()
-    kernels.fill_discs(local, discs, float(radius), camera.lens, near, depth, index, threads)
+    kernels.fill_discs(local, turned, radii, camera.lens, near, depth, index, threads)
     barycentric = np.zeros((*index.shape, 3))
     barycentric[index >= 0, 0] = 1.0
-    return Raster(camera, depth, index, barycentric)
+    if normals is None:
+        return Raster(camera, depth, index, barycentric)
+    # Sums over the camera's frame, turned back below: one frame for all of Raster.
+    blended = np.zeros((*index.shape, 3))
+    kernels.blend_normals(local, turned, radii, camera.lens, near, depth, blended, threads)
+    return Raster(camera, depth, index, barycentric, blended @ camera.T_camera_world[:3, :3])
 
 
 def shade(
@@ -117,7 +129,7 @@ def shade(
         raster: what the camera sees.
         vertices: the world points that were drawn.
         faces: the faces that were drawn; None for a raster of points.
-        normals: per vertex for smooth shading; None shades every face flat (points: facing the camera).
+        normals: per vertex for smooth shading; None: faces are flat, points take the raster's normals.
         colours: per vertex or one for all, 0..1.
         light: "headlight" at the camera, or the direction towards a far light in the camera's frame.
         background: colour of pixels that see nothing, 0..1.
@@ -131,8 +143,11 @@ def shade(
     local = raster.camera.to_camera(np.asarray(vertices, np.float64))
     points = np.einsum("nk,nkd->nd", weights, local[corners])
     to_eye = -_unit(points)
+    R_camera_world = raster.camera.T_camera_world[:3, :3]
     if normals is not None:
-        turned = np.einsum("nk,nkd->nd", weights, normals[corners]) @ raster.camera.T_camera_world[:3, :3].T
+        turned = np.einsum("nk,nkd->nd", weights, normals[corners]) @ R_camera_world.T
+    elif raster.normals is not None:
+        turned = raster.normals[seen] @ R_camera_world.T
     elif faces is None:
         turned = to_eye
     else:

@@ -115,42 +115,73 @@ def barycentric_weights(edges, face, lens, weights):
                 weights[y, x, k] /= total
 
 
+@njit(cache=True)
+def _ball_range(across, away, radius, focal, centre, count):
+    """Pixels along one axis that a ball can cover; it lies in a box whose corners project to the extremes."""
+    nearest, farthest = away - radius, away + radius
+    low = min((across - radius) / nearest, (across - radius) / farthest)
+    high = max((across + radius) / nearest, (across + radius) / farthest)
+    return _pixel_range(low * focal + centre, high * focal + centre, count)
+
+
+@njit(cache=True)
+def _disc_hit(point, normal, radius, rx, ry):
+    """Depth at which the ray (rx, ry, 1) meets the disc and the squared distance to its middle; -1: a miss.
+
+    A normal of zero length means a disc that faces the camera.
+    """
+    px, py, pz = point[0], point[1], point[2]
+    nx, ny, nz = normal[0], normal[1], normal[2]
+    if nx * nx + ny * ny + nz * nz == 0.0:
+        nx, ny, nz = px, py, pz
+    slope = nx * rx + ny * ry + nz
+    if slope == 0.0:
+        return -1.0, 0.0
+    z = (nx * px + ny * py + nz * pz) / slope
+    dx, dy, dz = z * rx - px, z * ry - py, z - pz
+    squared = dx * dx + dy * dy + dz * dz
+    if not squared <= radius * radius:
+        return -1.0, 0.0
+    return z, squared
+
+
 @njit(cache=True, parallel=True)
-def fill_discs(points, normals, radius, lens, near, depth, index, threads):
-    """Z-buffer of flat discs; normals of zero length mean a disc that faces the camera."""
+def fill_discs(points, normals, radii, lens, near, depth, index, threads):
+    """Z-buffer of flat discs; thread t owns the rows t, t + threads, ..."""
     height, width = depth.shape
     for t in prange(threads):
         for i in range(points.shape[0]):
-            px, py, pz = points[i, 0], points[i, 1], points[i, 2]
-            if not pz - radius > near:
+            if not points[i, 2] - radii[i] > near:
                 continue
-            nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
-            if nx * nx + ny * ny + nz * nz == 0.0:
-                nx, ny, nz = px, py, pz
-            # The disc lies in a ball; the ball in a box at its nearest depth.
-            near_z = pz - radius
-            low, high = (
-                min((px - radius) / near_z, (px - radius) / pz),
-                max((px + radius) / near_z, (px + radius) / pz),
-            )
-            x0, x1 = _pixel_range(low * lens[0] + lens[2], high * lens[0] + lens[2], width)
-            low, high = (
-                min((py - radius) / near_z, (py - radius) / pz),
-                max((py + radius) / near_z, (py + radius) / pz),
-            )
-            y0, y1 = _pixel_range(low * lens[1] + lens[3], high * lens[1] + lens[3], height)
-            plane = nx * px + ny * py + nz * pz
+            x0, x1 = _ball_range(points[i, 0], points[i, 2], radii[i], lens[0], lens[2], width)
+            y0, y1 = _ball_range(points[i, 1], points[i, 2], radii[i], lens[1], lens[3], height)
             for y in range(y0 + (t - y0) % threads, y1, threads):
                 ry = (y + 0.5 - lens[3]) / lens[1]
                 for x in range(x0, x1):
                     rx = (x + 0.5 - lens[2]) / lens[0]
-                    slope = nx * rx + ny * ry + nz
-                    if slope == 0.0:
-                        continue
-                    z = plane / slope
-                    if not (z >= near and z < depth[y, x]):
-                        continue
-                    dx, dy, dz = z * rx - px, z * ry - py, z - pz
-                    if dx * dx + dy * dy + dz * dz <= radius * radius:
+                    z, _ = _disc_hit(points[i], normals[i], radii[i], rx, ry)
+                    if z >= near and z < depth[y, x]:
                         depth[y, x] = z
                         index[y, x] = i
+
+
+@njit(cache=True, parallel=True)
+def blend_normals(points, normals, radii, lens, near, depth, blended, threads):
+    """Sums the normals of all discs within a radius behind the visible one, weighted by 1 - d^2 / r^2."""
+    height, width = depth.shape
+    for t in prange(threads):
+        for i in range(points.shape[0]):
+            if not points[i, 2] - radii[i] > near:
+                continue
+            x0, x1 = _ball_range(points[i, 0], points[i, 2], radii[i], lens[0], lens[2], width)
+            y0, y1 = _ball_range(points[i, 1], points[i, 2], radii[i], lens[1], lens[3], height)
+            for y in range(y0 + (t - y0) % threads, y1, threads):
+                ry = (y + 0.5 - lens[3]) / lens[1]
+                for x in range(x0, x1):
+                    rx = (x + 0.5 - lens[2]) / lens[0]
+                    z, squared = _disc_hit(points[i], normals[i], radii[i], rx, ry)
+                    # The smallest weight keeps a disc's own rim from having no normal at all.
+                    weight = max(1.0 - squared / (radii[i] * radii[i]), 1e-3)
+                    if z >= near and z <= depth[y, x] + radii[i]:
+                        for k in range(3):
+                            blended[y, x, k] += weight * normals[i, k]

@@ -11,12 +11,17 @@ from corporeal.geometry.cameras import Pinhole
 from corporeal.geometry.triangulation import Triangulation, robust_triangulation
 from corporeal.scans.detector import LANDMARK_NAMES, DetectedHand, HandDetector
 from corporeal.scans.scan import Scan
-from corporeal.scans.virtual_cameras import cameras_around, picture, ring
+from corporeal.scans.virtual_cameras import Subject, cameras_around, ring
 
 _SIZE = 320
 # A view agrees when half of its landmarks lie within this share of the picture.
 _TOLERANCE_COARSE, _TOLERANCE_FINE = 0.05, 0.025
 _FEWEST_VIEWS = 4
+# Turns about the fingers' direction and tilts along it, degrees, on either side of the hand.
+_ROUNDS = (
+    ((-40.0, -15.0, 15.0, 40.0), (-20.0, 5.0, 30.0)),
+    ((-50.0, -30.0, -10.0, 10.0, 30.0, 50.0), (-25.0, -5.0, 15.0, 35.0)),
+)
 # A hand with its wrist is about this long (metres); scans with an unknown unit come provisionally hand-sized.
 _HAND_LENGTH = 0.22
 
@@ -53,6 +58,9 @@ class _Views:
     cameras: list[Pinhole]
     hands: list[DetectedHand]
 
+    def joined(self, others: _Views) -> _Views:
+        return _Views(self.cameras + others.cameras, self.hands + others.hands)
+
     def triangulated(self, tolerance: float) -> Triangulation | None:
         if len(self.cameras) < 2:
             return None
@@ -82,12 +90,19 @@ def find_hand_landmarks(scan: Scan, detector: HandDetector | None = None) -> Han
     if rough is None or rough.agreeing.sum() < 3:
         seen = len(coarse.cameras)
         return HandLandmarks(False, f"the detector saw no hand that views agree on ({seen} of {tried} views)")
-    fine_cameras = _fine_cameras(scan, rough.points)
-    fine = _seen(scan, fine_cameras, detector)
-    tried += len(fine_cameras)
-    result = fine.triangulated(_TOLERANCE_FINE)
-    if result is None or result.agreeing.sum() < _FEWEST_VIEWS:
-        agree = 0 if result is None else int(result.agreeing.sum())
+    subject = Subject.of_scan(scan)
+    fine, result, agree = _Views([], []), rough, 0
+    # Frames set by rough landmarks differ between turned copies of one scan, and the detector's answers with
+    # them; the second round frames what the first one found.
+    for turns, tilts in _ROUNDS:
+        cameras = _fine_cameras(scan, result.points, turns, tilts)
+        tried += len(cameras)
+        fine = fine.joined(_seen(subject, cameras, detector))
+        found = fine.triangulated(_TOLERANCE_FINE)
+        agree = 0 if found is None else int(found.agreeing.sum())
+        if found is not None and agree >= _FEWEST_VIEWS:
+            result = found
+    if agree < _FEWEST_VIEWS:
         return HandLandmarks(False, f"virtual views disagree about the hand ({agree} of {tried} agree)")
     return _landmarks(fine, result, tried)
 
@@ -101,10 +116,12 @@ def _coarse_views(scan: Scan, detector: HandDetector) -> tuple[_Views, int]:
         end = scan.points[sign * along > (sign * along).max() - _HAND_LENGTH]
         directions = ring(sign * axis, 12, (0.0,))
         cameras += cameras_around(end, directions, sign * axis, size=_SIZE, fill=0.75)
-    return _seen(scan, cameras, detector), len(cameras)
+    return _seen(Subject.of_scan(scan), cameras, detector), len(cameras)
 
 
-def _fine_cameras(scan: Scan, rough: Float[np.ndarray, "21 3"]) -> list[Pinhole]:
+def _fine_cameras(
+    scan: Scan, rough: Float[np.ndarray, "21 3"], turns: tuple[float, ...], tilts: tuple[float, ...]
+) -> list[Pinhole]:
     """Views on palm and back that frame the landmarks found, fingers up."""
     fingers = rough[9] - rough[0]
     across = rough[5] - rough[17]
@@ -113,8 +130,8 @@ def _fine_cameras(scan: Scan, rough: Float[np.ndarray, "21 3"]) -> list[Pinhole]
     normal /= np.linalg.norm(normal)
     directions = []
     for facing in (normal, -normal):
-        for turn in np.deg2rad([-50, -30, -10, 10, 30, 50]):
-            for tilt in np.deg2rad([-25, 5, 30]):
+        for turn in np.deg2rad(turns):
+            for tilt in np.deg2rad(tilts):
                 flat = np.cos(turn) * facing + np.sin(turn) * np.cross(fingers, facing)
                 directions.append(np.cos(tilt) * flat + np.sin(tilt) * fingers)
     size = np.linalg.norm(rough - rough.mean(0), axis=1).max()
@@ -123,10 +140,10 @@ def _fine_cameras(scan: Scan, rough: Float[np.ndarray, "21 3"]) -> list[Pinhole]
     return cameras_around(framed, np.array(directions), fingers, size=_SIZE, fill=0.7)
 
 
-def _seen(scan: Scan, cameras: list[Pinhole], detector: HandDetector) -> _Views:
+def _seen(subject: Subject, cameras: list[Pinhole], detector: HandDetector) -> _Views:
     kept, hands = [], []
     for camera in cameras:
-        hand = detector.detect(picture(scan, camera))
+        hand = detector.detect(subject.picture(camera))
         if hand is not None:
             kept.append(camera)
             hands.append(hand)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from jaxtyping import Float, UInt8
+from scipy.spatial import cKDTree
 
 from corporeal.geometry.cameras import Pinhole
 from corporeal.geometry.rasteriser import rasterise, shade, splat
@@ -13,6 +16,7 @@ from corporeal.scans.scan import Scan
 # false colours or none.
 SKIN = (0.86, 0.66, 0.54)
 BACKGROUND = (0.42, 0.45, 0.50)
+_DISC_NEIGHBOURS = 6
 FIELD_OF_VIEW = np.deg2rad(35.0)
 
 
@@ -24,7 +28,7 @@ def cameras_around(
     size: int,
     fill: float,
 ) -> list[Pinhole]:
-    """One camera per viewing direction, framing the points; ``up`` is where the fingers are thought to point."""
+    """One camera per viewing direction, framing the points; ``up`` is where the fingers should point."""
     return [
         Pinhole.fit_to_frame(points, direction, up, fov=FIELD_OF_VIEW, size=(size, size), fill=fill)
         for direction in directions
@@ -45,17 +49,34 @@ def ring(axis: Float[np.ndarray, "3"], count: int, tilts: tuple[float, ...]) -> 
     return np.concatenate(directions)
 
 
-def picture(scan: Scan, camera: Pinhole) -> UInt8[np.ndarray, "H W 3"]:
-    """The scan as one camera sees it."""
-    if scan.is_point_cloud:
-        spacing = np.sqrt(_area_guess(scan) / len(scan.points))
-        raster = splat(scan.points, scan.normals, camera, radius=1.2 * spacing)
-        return shade(raster, scan.points, None, scan.normals, SKIN, background=BACKGROUND)
-    raster = rasterise(scan.points, scan.faces, camera)
-    return shade(raster, scan.points, scan.faces, None, SKIN, background=BACKGROUND)
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A scan made ready to be drawn many times.
 
+    Attributes:
+        scan: mesh or point cloud.
+        radii: (N,) disc sizes of a point cloud's points, metres; None for a mesh.
+    """
 
-def _area_guess(scan: Scan) -> float:
-    """Area of a surface that is about as large as the two larger sides of its box, seen from both sides."""
-    sides = np.sort(np.ptp(scan.points, axis=0))
-    return float(2.5 * sides[1] * sides[2])
+    scan: Scan
+    radii: Float[np.ndarray, " N"] | None
+
+    @classmethod
+    def of_scan(cls, scan: Scan) -> Subject:
+        """Sizes the discs of a point cloud so that neighbours overlap: holes let the detector see noise."""
+        if not scan.is_point_cloud:
+            return cls(scan, None)
+        count = min(_DISC_NEIGHBOURS, len(scan.points) - 1)
+        if count < 1:
+            return cls(scan, np.full(len(scan.points), 1e-3))
+        distances = cKDTree(scan.points).query(scan.points, k=count + 1, workers=-1)[0]
+        return cls(scan, np.maximum(distances[:, -1], 1e-5))
+
+    def picture(self, camera: Pinhole) -> UInt8[np.ndarray, "H W 3"]:
+        """The scan as one camera sees it."""
+        scan = self.scan
+        if self.radii is not None:
+            raster = splat(scan.points, scan.normals, camera, self.radii)
+            return shade(raster, scan.points, None, None, SKIN, background=BACKGROUND)
+        raster = rasterise(scan.points, scan.faces, camera)
+        return shade(raster, scan.points, scan.faces, None, SKIN, background=BACKGROUND)
