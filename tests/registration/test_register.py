@@ -39,7 +39,7 @@ def test_a_moved_scan_gives_the_moved_registration(hand, make_capture):
     first = register(capture.scan, hand, capture.evidence)
     second = register(moved, hand, dataclasses.replace(capture.evidence, positions=marks))
     back = (second.vertices - t) @ R
-    assert 1e3 * np.linalg.norm(back - first.vertices, axis=1).mean() < 0.1
+    assert 1e3 * np.linalg.norm(back - first.vertices, axis=1).mean() < 0.5
 
 
 def test_a_mirrored_scan_becomes_a_left_hand(hand, make_capture):

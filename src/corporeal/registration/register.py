@@ -19,7 +19,7 @@ from corporeal.registration.options import RegistrationOptions
 from corporeal.registration.registration import FailedRegistration, Registration
 from corporeal.registration.search import search_starts
 from corporeal.registration.stages import Fitter, MeasuredLandmarks
-from corporeal.registration.starts import landmark_start
+from corporeal.registration.starts import landmark_start, start_poses
 from corporeal.registration.target import Target
 from corporeal.scans.scan import Scan
 from corporeal.terms.model_fields import MODEL
@@ -145,14 +145,17 @@ def _landmark_starts(
     positions = np.array([evidence.positions[name] for name in names])
     sigmas = np.array([evidence.sigmas.get(name, 1.0) for name in names])
     shape_count = min(options.shape_count, model.shape_count)
-    vector, scale = landmark_start(model, landmark_set, positions, 1 / sigmas**2, shape_count)
+    poses, weights = start_poses(model), 1 / sigmas**2
     if target.scan.unit.name == "free":
-        target = target.scaled(1 / scale)
-        positions = positions / scale
-        vector, _ = landmark_start(model, landmark_set, positions, 1 / sigmas**2, shape_count)
+        _, scale = landmark_start(model, landmark_set, positions, weights, poses[0], shape_count)
+        target, positions = target.scaled(1 / scale), positions / scale
     fitter = Fitter(model, target, MeasuredLandmarks(landmark_set, positions, sigmas), options)
-    solution = fitter.fit_landmarks(vector, options.landmarks)
-    yield fitter, solution.state.parameters
+    # The mixture prior has many valleys; a landmark fit costs 20 ms, and the best of three starts is kept.
+    solutions = []
+    for pose in poses:
+        vector, _ = landmark_start(model, landmark_set, positions, weights, pose, shape_count)
+        solutions.append(fitter.fit_landmarks(vector, options.landmarks))
+    yield fitter, min(solutions, key=lambda solution: solution.cost).state.parameters
 
 
 def _measured(

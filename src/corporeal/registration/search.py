@@ -18,7 +18,7 @@ from corporeal.model.jacobian import evaluate
 from corporeal.model.surface_model import SurfaceModel
 from corporeal.registration.options import RegistrationOptions
 from corporeal.registration.stages import Fitter
-from corporeal.registration.starts import mean_pose, similarity, turned
+from corporeal.registration.starts import similarity, start_poses, turned
 from corporeal.registration.target import Target
 
 _DIRECTIONS = 12
@@ -26,7 +26,7 @@ _ROLLS = 8
 # All placements get a few iterations, the better ones the rest: settling all of them took three times as long
 # and chose the same starts on the real scans.
 _FIRST_ITERATIONS, _FIRST_KEPT = 4, 24
-_ITERATIONS, _KEPT = 15, 3
+_ITERATIONS, _KEPT = 15, 6
 _VERTICES = 250
 
 
@@ -53,7 +53,7 @@ def search_starts(
     tree = cKDTree(target.samples.first(4000).positions)
     free_scale = target.scan.unit.name == "free"
     placements = []
-    for pose in (mean_pose(model), np.zeros((model.joint_count, 3))):
+    for pose in start_poses(model):
         vertices = evaluate(model, shape, pose, np.zeros(3)).vertices
         picked = vertices[np.linspace(0, len(vertices) - 1, _VERTICES).astype(np.int64)]
         placements += [_Placement(pose, picked, R, t) for R, t in _grid(picked, np.asarray(tree.data))]

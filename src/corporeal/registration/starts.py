@@ -32,13 +32,13 @@ def landmark_start(
     landmark_set: LandmarkSet,
     positions: Float[np.ndarray, "N 3"],
     weights: Float[np.ndarray, " N"],
+    pose: Float[np.ndarray, "K 3"],
     shape_count: int,
 ) -> tuple[Float[np.ndarray, " Q"], float]:
-    """Parameter vector of the mean pose laid onto landmarks, and the scale that the landmarks suggest.
+    """Parameter vector of a pose laid onto landmarks, and the scale that the landmarks suggest.
 
     The scale is scan over model: 1 for a scan in true metres of a hand as large as the template.
     """
-    pose = mean_pose(model)
     shape = np.zeros(shape_count)
     posed = evaluate(model, shape, pose, np.zeros(3))
     source = landmark_set.positions(posed.vertices, posed.joints)
@@ -60,6 +60,12 @@ def turned(
     moved = pose.copy()
     moved[0] = Rotation.from_matrix(R @ Rotation.from_rotvec(pose[0]).as_matrix()).as_rotvec()
     return np.concatenate([R @ root + t - root, moved.ravel(), shape])
+
+
+def start_poses(model: SurfaceModel) -> list[Float[np.ndarray, "K 3"]]:
+    """Poses to begin from: flat, as hands are shown to a scanner, to the mean of the recordings."""
+    mean = mean_pose(model)
+    return [np.zeros_like(mean), 0.5 * mean, mean]
 
 
 def mean_pose(model: SurfaceModel) -> Float[np.ndarray, "K 3"]:
