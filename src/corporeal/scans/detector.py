@@ -62,6 +62,10 @@ class HandDetector:
             self._hands: Any = Hands(
                 static_image_mode=True, max_num_hands=1, min_detection_confidence=minimum_confidence
             )
+            # The networks are loaded, and talk, in threads of their own: the first answer means they are done.
+            self._hands.process(np.zeros((64, 64, 3), dtype=np.uint8))
+            # Its threads go on loading, and logging, until the first picture is through.
+            self._hands.process(np.zeros((192, 192, 3), np.uint8))
 
     def __enter__(self) -> HandDetector:
         return self
@@ -72,7 +76,8 @@ class HandDetector:
 
     def detect(self, picture: UInt8[np.ndarray, "H W 3"]) -> DetectedHand | None:
         """The hand in an RGB picture, or None."""
-        with _silence():
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
             result = self._hands.process(picture)
         if not result.multi_hand_landmarks:
             return None
