@@ -21,13 +21,15 @@ from pathlib import Path
 import igl
 import numpy as np
 import trimesh
-from corporeal.geometry.closest_points import SurfaceTree
-from corporeal.geometry.self_intersection import part_penetration
 from scipy.spatial.transform import Rotation
 
 import corporeal  # sets the thread policy before numba and OpenBLAS are loaded
+from corporeal.geometry.self_intersection import part_penetration
 from corporeal.model.files import open_model
+from corporeal.model.jacobian import evaluate
+from corporeal.registration.measures import beyond_cut, scan_to_mesh
 from corporeal.scans.files import read_scan
+from corporeal.terms.scan_to_surface import MovingSurface
 
 HEADER = "scan                       status    side     s2m   p95  model inside  fit s wall s"
 SCANS = {
@@ -95,31 +97,30 @@ def run_variant(variant: Variant, name: str, folder: Path, model_name: str) -> d
     return row
 
 
-def own_to_original(row: dict, variant: Variant, name: str, folder: Path) -> np.ndarray:
-    """The registration's vertices in the original scan's frame, millimetres."""
-    mesh = trimesh.load(folder / name / "registration.ply", process=False)
-    return np.c_[np.asarray(mesh.vertices), np.ones(len(mesh.vertices))] @ variant.back.T
-
-
-def measures(row: dict, variant: Variant, name: str, folder: Path, original: np.ndarray) -> dict:
-    """s2m of the original scan's hand to the registration, and the deepest penetration, mm."""
+def measures(variant: Variant, name: str, folder: Path, original: np.ndarray) -> dict:
+    """s2m of the *original* scan's points to the registration, and the deepest penetration, mm."""
     archive = np.load(folder / name / "registration.npz")
-    faces = archive["faces"]
-    vertices = own_to_original(row, variant, name, folder)
-    if variant.mirrored:
-        faces = faces[:, ::-1]
-    model = open_model("hand", row["side"])
-    scored = _scored(original, vertices, faces)
-    distance = np.sqrt(SurfaceTree(vertices, faces).closest(original[scored]).squared_distances)
-    parts = np.zeros(len(vertices), dtype=np.int64)
-    for label, members in enumerate(model.parts.values(), start=1):
+    model = open_model("hand", str(archive["side"]))
+    posed = evaluate(model, archive["shape"], archive["pose"], archive["translation"])
+    # The original's points in the registration's frame, metres; and how many millimetres such a metre is.
+    linear, shift = variant.back[:, :3], variant.back[:, 3]
+    points = (original - shift) @ np.linalg.inv(linear).T * float(archive["metres_per_unit"])
+    mm = np.cbrt(abs(np.linalg.det(linear))) / float(archive["metres_per_unit"])
+    distances = scan_to_mesh(
+        MovingSurface(archive["vertices"], model.faces),
+        archive["vertices"],
+        points,
+        beyond_cut(points, model.cut, posed),
+    )
+    scored = mm * distances.metres[distances.scored]
+    parts = np.full(model.vertex_count, -1, dtype=np.int64)
+    for label, members in enumerate(model.parts.values()):
         parts[members] = label
-    deepest = 1e3 * part_penetration(archive["vertices"], archive["faces"], parts).deepest
     return {
-        "mean": float(distance.mean()),
-        "p95": float(np.percentile(distance, 95)),
-        "scored": int(scored.sum()),
-        "penetration": deepest,
+        "mean": float(scored.mean()),
+        "p95": float(np.percentile(scored, 95)),
+        "scored_share": distances.scored_share,
+        "penetration": 1e3 * part_penetration(archive["vertices"], model.faces, parts).deepest,
     }
 
 
@@ -130,17 +131,6 @@ def line(row: dict) -> str:
     times = f"{row['seconds']['fit']:6.2f} {row['wall']:6.1f}"
     reason = row["reason"] if row["status"] != "ok" else ""
     return f"{row['variant']:26} {row['status']:9} {row['side']:6} {numbers} {times}  {reason}"
-
-
-def _scored(original: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Original points whose closest point is not within 1 mm of the registration's open boundary."""
-    from corporeal.geometry.topology import boundary_loops
-
-    closest = SurfaceTree(vertices, faces).closest(original)
-    loop = vertices[boundary_loops(faces)[0]]
-    dense = np.concatenate([loop + s * (np.roll(loop, -1, 0) - loop) for s in np.linspace(0, 1, 20)])
-    gap = np.linalg.norm(closest.points[:, None] - dense[None, ::2], axis=2).min(1)
-    return gap > 1.0
 
 
 def main() -> None:
@@ -170,7 +160,7 @@ def main() -> None:
             row = run_variant(variant, name, folder, options.model)
             row |= {"variant": f"{name} {variant.label}", "expected_side": side}
             if row["status"] in ("ok", "doubtful"):
-                row["against_original_mm"] = measures(row, variant, name, folder, original)
+                row["against_original_mm"] = measures(variant, name, folder, original)
                 print(line(row), flush=True)
             else:
                 print(f"{row['variant']:26} {row['status']:9} {row['reason']}", flush=True)

@@ -62,8 +62,8 @@ class HandDetector:
             self._hands: Any = Hands(
                 static_image_mode=True, max_num_hands=1, min_detection_confidence=minimum_confidence
             )
-            # The networks are loaded, and talk, in threads of their own: the first answer means they are done.
-            self._hands.process(np.zeros((64, 64, 3), dtype=np.uint8))
+            # The landmark network logs once more when it meets its first hand.
+            self._has_spoken = False
             # Its threads go on loading, and logging, until the first picture is through.
             self._hands.process(np.zeros((192, 192, 3), np.uint8))
 
@@ -76,11 +76,11 @@ class HandDetector:
 
     def detect(self, picture: UInt8[np.ndarray, "H W 3"]) -> DetectedHand | None:
         """The hand in an RGB picture, or None."""
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with _no_warnings() if self._has_spoken else _silence():
             result = self._hands.process(picture)
         if not result.multi_hand_landmarks:
             return None
+        self._has_spoken = True
         marks = result.multi_hand_landmarks[0].landmark
         label = result.multi_handedness[0].classification[0]
         height, width = picture.shape[:2]
@@ -91,14 +91,21 @@ class HandDetector:
 
 
 @contextmanager
+def _no_warnings() -> Iterator[None]:
+    """Keep the deprecation warnings of the detector's libraries out of ours."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+
+
+@contextmanager
 def _silence() -> Iterator[None]:
-    """Keep the detector's C++ log off the terminal, and its libraries' deprecation warnings out of ours."""
+    """Keep the detector's C++ log off the terminal too: it writes to the file descriptor, past Python."""
     sys.stderr.flush()
     saved, nothing = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(nothing, 2)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with _no_warnings():
             yield
     finally:
         os.dup2(saved, 2)

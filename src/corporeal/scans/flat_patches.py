@@ -11,7 +11,8 @@ from corporeal.scans.scan import Scan
 _COSINE = np.cos(np.deg2rad(2.0))
 _THICKNESS = 2e-3
 _CANDIDATES = 200
-# The flattest part of the real whole hands holds under 7 % of their area (the end of an arm), the cut of the partial one 30 %.
+# The flattest part of the real whole hands is the end of an arm with 6 % of the area; the cut of the partial
+# one holds 30 %.
 _LEAST_SHARE = 0.10
 
 
