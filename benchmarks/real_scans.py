@@ -1,7 +1,8 @@
 """Register the real scans, as they are and altered in every way a user's scan may differ.
 
-Prints one row per variant: status, side, s2m of the registration against the *original* scan, s2m of the model
-alone, how deep one finger stands in another, and the times. ``--out DIR`` keeps everything, pictures included.
+Prints one row per variant: status, side, s2m of the registration against the *original* scan, s2m of the
+model alone, how deep one finger stands in another, and the times. ``--out DIR`` keeps all results, pictures
+included.
 
     python benchmarks/real_scans.py [--data DIR] [--out DIR] [--json FILE] [--only WORD]
 """

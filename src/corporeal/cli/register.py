@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import traceback
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,7 @@ from corporeal.registration.options import RegistrationOptions
 from corporeal.registration.register import register
 from corporeal.registration.registration import FailedRegistration
 from corporeal.scans.files import ScanFileError, read_scan
+from corporeal.scans.segmentation import remove_object
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,7 @@ class Register:
         unit: unit of the files; auto guesses from the size, free estimates the scale of photographed scans.
         landmarks: JSON or CSV with landmarks of the one scan, in its own unit; the detector is not asked then.
         correctives: use the model's pose correctives.
+        green_objects: drop points that are painted green (G > max(R, 20)), as objects were in MANO's captures.
         json: also write the machine-readable result to this file.
     """
 
@@ -46,6 +49,7 @@ class Register:
     unit: Literal["auto", "m", "cm", "mm", "free"] = "auto"
     landmarks: Path | None = None
     correctives: bool = True
+    green_objects: bool = False
     json: Path | None = None
 
 
@@ -86,6 +90,8 @@ def _one(
     try:
         on_step(f"{path.name}: reading")
         scan = read_scan(path, unit=config.unit)
+        if config.green_objects:
+            scan = remove_object(scan)
         on_step(f"{path.name}: landmarks")
         marked = time.perf_counter()
         evidence, notes = finder.find(scan)
@@ -104,6 +110,11 @@ def _one(
             row["outputs"] = write_outputs(result, folder, row)
     except (ScanFileError, OSError) as error:
         row = registration_row(path, None, str(error), seconds, [])
+    except Exception as error:
+        # One scan must never cost the others; a fault of ours is reported as one, with its place.
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        reason = f"internal error, please report it: {error!r} in {Path(place.filename).name}:{place.lineno}"
+        row = registration_row(path, None, reason, seconds, [])
     row["seconds"]["total"] = time.perf_counter() - begun
     try:
         write_json(folder / "report.json", row)
