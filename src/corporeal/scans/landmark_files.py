@@ -34,6 +34,8 @@ def read_landmarks(path: Path | str) -> dict[str, np.ndarray]:
     rows = _rows_of_csv(path, text) if path.suffix.lower() == ".csv" else _rows_of_json(path, text)
     landmarks: dict[str, np.ndarray] = {}
     for name, numbers in rows:
+        if name in landmarks:
+            raise LandmarkFileError(f"{path.name}: landmark {name!r} is given twice")
         landmarks[name] = _point(path, name, numbers)
     if not landmarks:
         raise LandmarkFileError(f"{path.name}: holds no landmark")
@@ -42,7 +44,7 @@ def read_landmarks(path: Path | str) -> dict[str, np.ndarray]:
 
 def _rows_of_json(path: Path, text: str) -> list[tuple[str, Any]]:
     try:
-        content = json.loads(text)
+        content = json.loads(text, object_pairs_hook=_pairs_once)
     except (ValueError, RecursionError) as error:
         raise LandmarkFileError(f"{path.name}: is no JSON: {error}") from error
     if not isinstance(content, dict):
@@ -53,6 +55,14 @@ def _rows_of_json(path: Path, text: str) -> list[tuple[str, Any]]:
             raise LandmarkFileError(f"{path.name}: names and points must be lists of one length")
         return [(str(name), point) for name, point in zip(names, points, strict=True)]
     return [(str(name), point) for name, point in content.items()]
+
+
+def _pairs_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A JSON object; a repeated key, of which Python would keep the last in silence, is an error."""
+    content = dict(pairs)
+    if len(content) < len(pairs):
+        raise ValueError("a name is given twice")
+    return content
 
 
 def _rows_of_csv(path: Path, text: str) -> list[tuple[str, Any]]:
