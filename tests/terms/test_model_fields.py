@@ -1,0 +1,32 @@
+"""Fields of a model and their Jacobians, against finite differences along random directions."""
+
+import numpy as np
+import pytest
+
+from corporeal.model.files import open_model
+from corporeal.terms.model_fields import LANDMARKS, MODEL, ModelFields
+
+
+@pytest.mark.parametrize("correctives", [True, False])
+def test_jacobians_agree_with_differences(rng, correctives):
+    hand = open_model("hand")
+    fields = ModelFields(
+        hand, shape_count=7, landmarks=hand.landmarks["hand_21_mediapipe"], correctives=correctives
+    )
+    vector = 0.3 * rng.normal(size=fields.columns.count)
+    jacobians = fields.differentiate(vector)
+    step = 1e-6
+    for _ in range(4):
+        direction = rng.normal(size=vector.size)
+        up, down = fields.derive(vector + step * direction), fields.derive(vector - step * direction)
+        for name in (MODEL, LANDMARKS):
+            numeric = (up[name] - down[name]) / (2 * step)
+            analytic = jacobians[name] @ direction
+            assert np.abs(numeric - analytic).max() < 1e-6 * max(1.0, np.abs(analytic).max())
+
+
+def test_the_vector_and_its_names_agree(rng):
+    fields = ModelFields(open_model("hand"), shape_count=4)
+    vector = rng.normal(size=3 + 48 + 4)
+    assert np.array_equal(fields.parameters(vector).vector(), vector)
+    assert LANDMARKS not in fields.derive(vector)
