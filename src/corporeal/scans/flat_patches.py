@@ -10,7 +10,7 @@ from corporeal.scans.scan import Scan
 
 _COSINE = np.cos(np.deg2rad(2.0))
 _THICKNESS = 2e-3
-_CANDIDATES = 200
+_CANDIDATES, _RANKED = 200, 4000
 # The flattest part of the real whole hands is the end of an arm with 6 % of the area; the cut of the partial
 # one holds 30 %.
 _LEAST_SHARE = 0.10
@@ -20,7 +20,7 @@ def flat_patch(scan: Scan) -> Bool[np.ndarray, " M"]:
     """Faces of the largest plane of a scan, if it is larger than anything on a hand is; else none.
 
     A face belongs to a plane when its normal is within 2 degrees of it and its middle within 0.2 % of the
-    scan's diagonal. Candidate planes are those of the largest faces and of faces taken evenly.
+    scan's diagonal. Candidate planes are those of faces taken evenly over the area.
     """
     count = len(scan.faces)
     if count == 0:
@@ -28,14 +28,21 @@ def flat_patch(scan: Scan) -> Bool[np.ndarray, " M"]:
     areas = face_areas(scan.points, scan.faces)
     normals = face_normals(scan.points, scan.faces)
     middles = scan.points[scan.faces].mean(axis=1)
-    largest = np.argsort(-areas, kind="stable")[: _CANDIDATES // 2]
-    evenly = np.linspace(0, count - 1, _CANDIDATES // 2).astype(np.int64)
-    best = np.zeros(count, dtype=bool)
-    for candidate in np.concatenate([largest, evenly]):
-        alike = normals @ normals[candidate] > _COSINE
-        height = (middles - middles[candidate]) @ normals[candidate]
-        plane = alike & (np.abs(height) < _THICKNESS * scan.diagonal)
-        if areas[plane].sum() > areas[best].sum():
-            best = plane
+    tolerance = _THICKNESS * scan.diagonal
+    # Candidates are ranked on faces that stand for equal areas: on 80,000 faces that saves half a second.
+    strata = (np.arange(_RANKED) + 0.5) / _RANKED * areas.sum()
+    ranked = np.minimum(np.searchsorted(np.cumsum(areas), strata), count - 1)
+    counts = [
+        _on_plane(normals[ranked], middles[ranked], normals[c], middles[c], tolerance).sum()
+        for c in ranked[:: _RANKED // _CANDIDATES]
+    ]
+    winner = ranked[:: _RANKED // _CANDIDATES][int(np.argmax(counts))]
+    best = _on_plane(normals, middles, normals[winner], middles[winner], tolerance)
     large = areas[best].sum() > _LEAST_SHARE * areas.sum()
     return best if large else np.zeros(count, dtype=bool)
+
+
+def _on_plane(
+    normals: np.ndarray, middles: np.ndarray, normal: np.ndarray, middle: np.ndarray, tolerance: float
+) -> Bool[np.ndarray, " n"]:
+    return (normals @ normal > _COSINE) & (np.abs((middles - middle) @ normal) < tolerance)
