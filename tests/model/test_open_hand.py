@@ -1,6 +1,7 @@
 """The open hand keeps what its card promises."""
 
 from importlib import resources
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -37,7 +38,18 @@ def test_topology_is_one_manifold_piece_with_one_loop_at_the_wrist(hand):
     assert connected_components(hand.faces, hand.vertex_count).max() == 0
     # Behind the plane, so that all of the hand lies beyond it.
     behind = (hand.template[loop] - hand.cut.point) @ hand.cut.normal
-    assert behind.max() < 0
+    assert behind.max() < -5e-3
+    # One row of edges, no jumps between rows: hardly longer than the row's smoothed course.
+    opening = hand.template[loop]
+    smoothed = (np.roll(opening, 1, 0) + opening + np.roll(opening, -1, 0)) / 3
+    length, course = (np.linalg.norm(p - np.roll(p, 1, 0), axis=1).sum() for p in (opening, smoothed))
+    assert length < 1.05 * course
+
+
+def test_vertices_of_the_body_are_told_one_by_one(hand):
+    body_vertex = np.load(Path(__file__).parents[2] / "assets" / "body_vertices_of_hand.npy")
+    assert body_vertex.shape == (hand.vertex_count,) and (np.diff(body_vertex.astype(int)) > 0).all()
+    assert body_vertex.max() < 18_056, "the SOMA mesh has 18,056 vertices"
 
 
 def test_joints_are_manos(hand):
@@ -102,9 +114,14 @@ def test_pose_statistics_and_limits(hand):
 
 def test_landmarks_lie_on_finger_tips(hand):
     joints = hand.joint_regressor @ hand.template
-    for name in ("hand_21_mediapipe", "hand_21_openpose"):
+    for name in ("hand_21_mediapipe", "hand_21_openpose", "hand_21_detector"):
         positions = hand.landmarks[name].positions(hand.template, joints)
         assert positions.shape == (21, 3)
+        if name == "hand_21_detector":
+            # A detector's landmark is no joint, but it is on the same finger: within 2 cm, bar the wrist.
+            exact = hand.landmarks["hand_21_mediapipe"].positions(hand.template, joints)
+            assert np.linalg.norm(positions - exact, axis=1)[1:].max() < 0.02
+            continue
         for tip in (8, 12, 16, 20):
             direction = positions[tip] - positions[tip - 1]
             finger = hand.template[np.linalg.norm(hand.template - positions[tip], axis=1) < 0.012]
