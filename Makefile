@@ -18,12 +18,12 @@ demo: $(VENV)/.demo
 	@echo "Results are in $(OUT)/: open overview.png for a look, hand.glb in any glTF viewer."
 
 test: lint
-	$(BIN)/python -m pytest -q
+	$(BIN)/python -m pytest -q -n auto
 	$(MAKE) --no-print-directory numpy2
 
 # The detector's wheel holds numpy at 1.26; without it the newest numpy is used, and must work as well.
 numpy2: $(VENV2)/.test
-	NUMBA_CACHE_DIR=$(VENV2)/numba $(VENV2)/bin/python -m pytest -q
+	NUMBA_CACHE_DIR=$(VENV2)/numba $(VENV2)/bin/python -m pytest -q -n auto
 
 lint: $(VENV)/.test
 	$(BIN)/ruff format --check src tests benchmarks examples assets
