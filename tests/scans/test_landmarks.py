@@ -81,10 +81,10 @@ def detector():
         pytest.skip(str(error))
 
 
-def turned(scan: Scan, transform: np.ndarray, faces: np.ndarray) -> Scan:
+def turned_cloud(scan: Scan, transform: np.ndarray) -> Scan:
     points = np.ascontiguousarray(scan.points @ transform.T)
     normals = np.ascontiguousarray(scan.normals @ transform.T)
-    return Scan(scan.name, points, np.ascontiguousarray(faces), normals, None, scan.unit)
+    return Scan(scan.name, points, np.zeros((0, 3), np.int64), normals, None, scan.unit)
 
 
 @pytest.mark.slow
@@ -98,14 +98,11 @@ def test_a_real_right_hand_is_found_turned_mirrored_and_as_points(shared_data, d
     lengths = np.linalg.norm(found.points[[8, 12, 16, 20]] - found.points[[5, 9, 13, 17]], axis=1)
     assert (lengths > 0.05).all() and (lengths < 0.12).all()
 
-    turn = Rotation.random(random_state=4).as_matrix()
-    mirror = turn @ np.diag([-1.0, 1, 1])
-    none = np.zeros((0, 3), np.int64)
-    for transform, faces, right in ((mirror, scan.faces[:, ::-1], False), (turn, none, True)):
-        other = find_hand_landmarks(turned(scan, transform, faces), detector)
-        assert other.ok and (other.side_score > 0.5) == right
-        error = np.linalg.norm(other.points @ transform - found.points, axis=1)
-        assert np.median(error) < 0.003 and error.max() < 0.015
+    mirror = Rotation.random(random_state=4).as_matrix() @ np.diag([-1.0, 1, 1])
+    other = find_hand_landmarks(turned_cloud(scan, mirror), detector)
+    assert other.ok and other.side_score < 0.2
+    error = np.linalg.norm(other.points @ mirror - found.points, axis=1)
+    assert np.median(error) < 0.003 and error.max() < 0.015
 
 
 @pytest.mark.slow
