@@ -36,9 +36,9 @@ class Register:
         model: "hand" for the open hand in the box, or a model file.
         side: which hand it is; auto finds out.
         unit: unit of the files; auto guesses from the size, free estimates the scale of photographed scans.
-        landmarks: JSON or CSV with landmarks of the one scan, in its own unit; the detector is not asked then.
+        landmarks: JSON or CSV with landmarks of the one scan, in its own unit; then no detector is asked.
         correctives: use the model's pose correctives.
-        green_objects: drop points that are painted green (G > max(R, 20)), as objects were in MANO's captures.
+        green_objects: drop points painted green (G > max(R, 20)), as objects were in MANO's captures.
         json: also write the machine-readable result to this file.
     """
 

@@ -78,7 +78,7 @@ def _title(row: dict[str, Any]) -> tuple[str, ...]:
 
 
 def _views(result: Registration) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-    """Palm and back of the hand as (view direction, up) in the scan's frame; up is where the fingers point."""
+    """Palm and back of the hand as (view direction, up) in the scan's frame; the fingers point up."""
     model, root = result.model, result.parameters.pose[0]
     R_world_root = Rotation.from_rotvec(root).as_matrix()
     along = model.template.mean(0) - np.asarray(model.joint_regressor @ model.template)[0]
