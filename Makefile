@@ -36,10 +36,12 @@ bench: $(VENV)/.test
 	$(BIN)/python benchmarks/closest_points.py
 	$(BIN)/python benchmarks/real_scans.py
 
-assets:
+assets: $(VENV)/.demo
 	$(PYTHON) -m venv .venv-assets
 	.venv-assets/bin/$(PIP_INSTALL) -e '.[assets]'
 	.venv-assets/bin/python assets/build.py
+	$(BIN)/python assets/calibrate_detector.py
+	.venv-assets/bin/python assets/demo/build_scan.py
 
 $(VENV)/.demo: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
