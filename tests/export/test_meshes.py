@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from corporeal.export.atomic import write_bytes
+from corporeal.atomic import write_bytes
 from corporeal.export.meshes import write_obj, write_ply
 
 
@@ -57,7 +57,7 @@ def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
     def broken(*_):
         raise OSError("disk full")
 
-    monkeypatch.setattr("corporeal.export.atomic.os.replace", broken)
+    monkeypatch.setattr("corporeal.atomic.os.replace", broken)
     with pytest.raises(OSError, match="disk full"):
         write_bytes(path, b"new")
     assert path.read_bytes() == b"old"

@@ -10,7 +10,7 @@ import pygltflib
 from jaxtyping import Float
 
 import corporeal
-from corporeal.export.atomic import write_bytes
+from corporeal.atomic import write_bytes
 from corporeal.export.gltf_buffers import BufferBuilder
 from corporeal.export.gltf_morphs import MorphTargets, coefficient_targets, corrective_targets
 from corporeal.geometry.normals import vertex_normals

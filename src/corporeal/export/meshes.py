@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from corporeal.export.atomic import write_bytes
+from corporeal.atomic import write_bytes
 
 
 def write_ply(
