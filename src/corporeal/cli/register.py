@@ -16,7 +16,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from corporeal.cli.errors import CommandError
 from corporeal.cli.files import write_json
 from corporeal.cli.landmark_evidence import LandmarkFinder
-from corporeal.cli.registration_outputs import registration_row, write_outputs
+from corporeal.cli.registration_outputs import registration_row, scale_notes, write_outputs
 from corporeal.model.files import ModelFileError, load_model, open_model
 from corporeal.model.surface_model import SurfaceModel
 from corporeal.registration.options import RegistrationOptions
@@ -106,7 +106,8 @@ def _one(
             row = registration_row(path, None, result.reason, seconds, notes)
         else:
             on_step(f"{path.name}: writing")
-            row = registration_row(path, result, result.reason, seconds, [*result.scan.repairs, *notes])
+            notes = [*result.scan.repairs, *notes, *scale_notes(result.scan)]
+            row = registration_row(path, result, result.reason, seconds, notes)
             row["outputs"] = write_outputs(result, folder, row)
     except (ScanFileError, OSError) as error:
         row = registration_row(path, None, str(error), seconds, [])

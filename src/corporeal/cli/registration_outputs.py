@@ -13,6 +13,7 @@ from corporeal.export.meshes import write_ply
 from corporeal.export.overview import Overview, write_overview
 from corporeal.registration.files import save_registration
 from corporeal.registration.registration import Registration
+from corporeal.scans.scan import Scan
 
 
 def registration_row(
@@ -36,6 +37,17 @@ def registration_row(
     if result is not None:
         row["seconds"] |= {f"fit: {name}": value for name, value in result.seconds.items()}
     return row
+
+
+def scale_notes(scan: Scan) -> list[str]:
+    """What to say of a scan without a unit."""
+    if scan.unit.name != "free":
+        return []
+    millimetres = 1e3 * scan.unit.metres_per_unit
+    return [
+        f"the file has no unit: one is taken as {millimetres:.4g} mm, so that the hand is as large as an "
+        "average adult's; the PLYs keep the file's own unit"
+    ]
 
 
 def write_outputs(result: Registration, folder: Path, row: dict[str, Any]) -> dict[str, str]:

@@ -14,6 +14,7 @@ from corporeal.model.formats.families import (
     family_of_tree,
 )
 from corporeal.model.formats.fields import Source, indices, numbers
+from corporeal.model.hand_landmarks import HAND_21, hand_landmarks, hand_parts
 from corporeal.model.landmarks import LandmarkSet
 from corporeal.model.statistics import PoseBlock
 from corporeal.model.surface_model import Side, SurfaceModel
@@ -54,7 +55,8 @@ def read_official(source: Source) -> SurfaceModel:
         pose_directions=core.pose_directions,
         side=_side_of_fingers(core) if family.single_hand else None,
         pose_blocks=tuple(_read_block(source, layout) for layout in family.blocks),
-        landmarks=_read_landmarks(source, core) if family.expressions else {},
+        landmarks=_landmarks(source, core, family),
+        parts=hand_parts(core.skinning_weights, family.joint_names) if family.single_hand else {},
         notes=_notes(source, family),
     )
 
@@ -130,6 +132,15 @@ def _notes(source: Source, family: Family) -> dict[str, str]:
             "the file has no hands_coeffs: deviations of hand components are unknown, 1 stands"
         )
     return notes
+
+
+def _landmarks(source: Source, core: CoreArrays, family: Family) -> dict[str, LandmarkSet]:
+    if family.expressions:
+        return _read_landmarks(source, core)
+    if not family.single_hand:
+        return {}
+    joints = np.asarray(core.joint_regressor @ core.template)
+    return {HAND_21: hand_landmarks(core.template, joints, core.skinning_weights, family.joint_names)}
 
 
 def _read_landmarks(source: Source, core: CoreArrays) -> dict[str, LandmarkSet]:
