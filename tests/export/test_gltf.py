@@ -5,6 +5,7 @@ import pytest
 
 from corporeal.export.gltf import GlbOptions, write_glb
 from corporeal.export.gltf_check import GlbFile, compare_with_model, vertices_at
+from corporeal.model.files import open_model
 from corporeal.model.mirror import mirror_model
 
 # The target is 0.1 mm at every key; float32 allows 0.001.
@@ -41,6 +42,24 @@ def test_the_file_gives_our_vertices_at_every_key(kind, correctives, request, rn
     assert agreement.as_opened_mm < KEY_TOLERANCE_MM
     # Between keys only the correctives (8 mm here) are bent; the joints' slerp is exact.
     assert max(agreement.between_keys_mm) < (0.1 if correctives else KEY_TOLERANCE_MM)
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_the_open_hand(side, rng, tmp_path, khronos_validator):
+    model = open_model("hand") if side == "right" else mirror_model(open_model("hand"))
+    block = model.block("hand")
+    pose = np.zeros((16, 3))
+    pose[0], pose[1:] = (0.5, 2.5, -0.4), np.clip(
+        block.mean + block.components[:15].T @ (block.component_deviations[:15] * rng.standard_normal(15)),
+        block.limits[:, 0], block.limits[:, 1],
+    ).reshape(15, 3)  # fmt: skip
+    given = {"shape": rng.standard_normal(20), "pose": pose, "translation": np.array([0.1, 0.4, -0.2])}
+    path = written(tmp_path, model, given)
+    agreement = compare_with_model(path, model, **given)
+    assert max(agreement.at_keys_mm) < KEY_TOLERANCE_MM
+    assert max(agreement.between_keys_mm) < 0.1
+    issues = khronos_validator(path)["issues"]
+    assert issues["numErrors"] == issues["numWarnings"] == 0, issues["messages"]
 
 
 def test_the_comparison_sees_a_wrong_file(model, rng, tmp_path):
