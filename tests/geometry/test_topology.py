@@ -167,3 +167,9 @@ def test_normals_without_an_area_are_zero_and_not_nan() -> None:
     faces = np.array([[0, 1, 2], [0, 0, 1]])
     np.testing.assert_array_equal(normals.face_normals(vertices, faces), 0)
     np.testing.assert_array_equal(normals.vertex_normals(vertices, faces), 0)
+
+
+def test_open_sides_are_those_opposite_the_corners_of_boundary_edges():
+    # Two triangles that share the edge 1-2.
+    faces = np.array([[0, 1, 2], [2, 1, 3]])
+    assert topology.open_sides(faces).tolist() == [[False, True, True], [True, True, False]]

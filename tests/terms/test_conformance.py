@@ -15,7 +15,7 @@ import corporeal.terms
 from corporeal.geometry.closest_points import SurfaceTree
 from corporeal.geometry.normals import face_normals
 from corporeal.geometry.self_intersection import PartSurfaces
-from corporeal.geometry.topology import boundary_edges, unique_edges
+from corporeal.geometry.topology import open_sides, unique_edges
 from corporeal.solve.problem import PARAMETERS, Term
 from corporeal.terms.coupling import EdgeCoupling
 from corporeal.terms.distance import DistanceOptions
@@ -25,7 +25,7 @@ from corporeal.terms.mesh_pattern import MeshPattern
 from corporeal.terms.part_separation import PartSeparation
 from corporeal.terms.pose_limits import PoseLimits
 from corporeal.terms.pose_mixture import MixturePrior
-from corporeal.terms.scan_to_surface import MovingSurface, ScanToSurface, open_sides
+from corporeal.terms.scan_to_surface import MovingSurface, ScanToSurface
 from corporeal.terms.surface_to_scan import ScanSurface, SurfaceToScan
 
 STEP = 1e-6
@@ -65,7 +65,7 @@ def _surface_to_scan(rng, sigma, robust_scale=np.inf, tangential=1.0):
     scan = ScanSurface(
         SurfaceTree(scan_vertices, scan_faces),
         face_normals(scan_vertices, scan_faces),
-        open_sides(scan_faces, boundary_edges(scan_faces)),
+        open_sides(scan_faces),
     )
     options = DistanceOptions(sigma, robust_scale, tangential)
     weights = rng.uniform(0.5, 2, len(vertices))

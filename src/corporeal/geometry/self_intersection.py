@@ -11,7 +11,14 @@ from scipy.sparse import csgraph
 
 from corporeal.geometry import winding_kernels
 from corporeal.geometry.closest_points import SurfaceTree
-from corporeal.geometry.topology import boundary_loops, capped_by_fans, remove_unreferenced, unique_edges
+from corporeal.geometry.normals import face_normals
+from corporeal.geometry.topology import (
+    boundary_loops,
+    capped_by_fans,
+    open_sides,
+    remove_unreferenced,
+    unique_edges,
+)
 
 BORDER = 0.01
 """Vertices within this distance of another part along the surface (metres) are not held against that part.
@@ -109,6 +116,7 @@ class _Part:
     own_faces: Int[np.ndarray, " f"]
     own_vertices: Int[np.ndarray, " v"]
     local_faces: Int[np.ndarray, "f 3"]
+    at_cut: Bool[np.ndarray, "f 3"]
     closed: _Closed
     candidates: Int[np.ndarray, " c"]
 
@@ -151,7 +159,15 @@ class PartSurfaces:
             away = csgraph.dijkstra(graph, directed=False, indices=members, min_only=True, limit=border)
             candidates = np.flatnonzero((part_of_vertex >= 0) & (part_of_vertex != label) & (away > border))
             self._parts.append(
-                _Part(label, own_faces, own_vertices, local_faces, _Closed(own, local_faces), candidates)
+                _Part(
+                    label,
+                    own_faces,
+                    own_vertices,
+                    local_faces,
+                    open_sides(local_faces),
+                    _Closed(own, local_faces),
+                    candidates,
+                )
             )
 
     def penetration(self, vertices: Float[np.ndarray, "V 3"]) -> PartPenetration:
@@ -166,13 +182,18 @@ class PartSurfaces:
     def _inside(self, part: _Part, vertices: np.ndarray) -> PartPenetration | None:
         own = vertices[part.own_vertices]
         candidates = part.candidates[_in_oriented_box(vertices[part.candidates], own)]
+        if not len(candidates):
+            return None
+        tree = SurfaceTree(own, part.local_faces)
+        # Winding numbers were the largest part of a registration; most of the box is plainly outside.
+        candidates = candidates[_not_outside(part, own, tree, vertices[candidates])]
         for closed, surface, least in ((part.closed, own, 0.5), (self._whole, vertices, 1.0)):
             if not len(candidates):
                 return None
             candidates = candidates[closed.winding_numbers(vertices[candidates], surface) > least]
         if not len(candidates):
             return None
-        closest = SurfaceTree(own, part.local_faces).closest(vertices[candidates])
+        closest = tree.closest(vertices[candidates])
         return PartPenetration(
             candidates,
             self._part_of_vertex[candidates],
@@ -181,6 +202,16 @@ class PartSurfaces:
             part.own_faces[closest.faces],
             closest.barycentric,
         )
+
+
+def _not_outside(
+    part: _Part, own: np.ndarray, tree: SurfaceTree, points: np.ndarray
+) -> Bool[np.ndarray, " _"]:
+    """Points behind the closest face, or closest to where the part was cut out: they may be inside."""
+    closest = tree.closest(points)
+    normals = face_normals(own, part.local_faces)[closest.faces]
+    behind = np.einsum("na,na->n", points - closest.points, normals) < 0
+    return behind | (part.at_cut[closest.faces] & (closest.barycentric < 1e-9)).any(axis=1)
 
 
 def _in_oriented_box(points: np.ndarray, part_vertices: np.ndarray) -> Bool[np.ndarray, " _"]:

@@ -24,6 +24,18 @@ def boundary_edges(faces: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, "E 2"]:
     return directed[np.sort(first[counts == 1])]
 
 
+def open_sides(faces: Int[np.ndarray, "F 3"]) -> Bool[np.ndarray, "F 3"]:
+    """For every face and corner: is the side opposite that corner an open boundary of the mesh?"""
+    open_edges = np.sort(boundary_edges(faces), axis=1)
+    base = int(faces.max(initial=0)) + 1
+    keys = open_edges[:, 0] * base + open_edges[:, 1]
+    sides = np.empty((len(faces), 3), dtype=bool)
+    for corner in range(3):
+        a, b = faces[:, (corner + 1) % 3], faces[:, (corner + 2) % 3]
+        sides[:, corner] = np.isin(np.minimum(a, b) * base + np.maximum(a, b), keys)
+    return sides
+
+
 def boundary_loops(faces: Int[np.ndarray, "F 3"]) -> list[Int[np.ndarray, " _"]]:
     """Closed chains of boundary vertices, in the direction of their faces, the longest chain first.
 

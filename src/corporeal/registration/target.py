@@ -11,11 +11,10 @@ from jaxtyping import Bool, Float
 
 from corporeal.geometry.closest_points import SurfaceTree
 from corporeal.geometry.normals import face_normals
-from corporeal.geometry.topology import boundary_edges
+from corporeal.geometry.topology import open_sides
 from corporeal.scans.flat_patches import flat_patch
 from corporeal.scans.scan import Scan
 from corporeal.scans.surface_sampling import sample_surface
-from corporeal.terms.scan_to_surface import open_sides
 from corporeal.terms.surface_to_scan import ScanSurface
 
 
@@ -74,5 +73,4 @@ class Target:
         if scan.is_point_cloud:
             return None
         tree = SurfaceTree(scan.points, scan.faces)
-        sides = open_sides(scan.faces, boundary_edges(scan.faces))
-        return ScanSurface(tree, face_normals(scan.points, scan.faces), sides)
+        return ScanSurface(tree, face_normals(scan.points, scan.faces), open_sides(scan.faces))

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 
 from corporeal.geometry.closest_points import ClosestPoints, SurfaceTree
 from corporeal.geometry.normals import face_normals
-from corporeal.geometry.topology import boundary_edges
+from corporeal.geometry.topology import boundary_edges, open_sides
 from corporeal.solve.curvature import Curvature
 from corporeal.solve.problem import Fields, Quadratic
 from corporeal.terms.distance import DistanceOptions, WeightedDistances
@@ -25,7 +25,7 @@ class MovingSurface:
         self.tree = SurfaceTree(vertices, self.faces)
         self.pattern = MeshPattern(self.faces, len(vertices))
         self.boundary = boundary_edges(self.faces)
-        self._on_boundary = open_sides(self.faces, self.boundary)
+        self._on_boundary = open_sides(self.faces)
 
     def closest(
         self, vertices: Float[np.ndarray, "V 3"], points: Float[np.ndarray, "n 3"], start: np.ndarray | None
@@ -105,15 +105,3 @@ class ScanToSurfaceValue:
         gradient = pattern.gradient(self.closest.faces, self.closest.barycentric, pulls)
         field = self.term.field
         return Quadratic({field: gradient}, {(field, field): self._curvature})
-
-
-def open_sides(faces: Int[np.ndarray, "F 3"], boundary: Int[np.ndarray, "E 2"]) -> Bool[np.ndarray, "F 3"]:
-    """For every face and corner: is the side opposite that corner an open boundary of the mesh?"""
-    open_edges = np.sort(boundary, axis=1)
-    size = int(faces.max()) + 1 if len(faces) else 1
-    keys = open_edges[:, 0] * size + open_edges[:, 1]
-    sides = np.empty((len(faces), 3), dtype=bool)
-    for corner in range(3):
-        a, b = faces[:, (corner + 1) % 3], faces[:, (corner + 2) % 3]
-        sides[:, corner] = np.isin(np.minimum(a, b) * size + np.maximum(a, b), keys)
-    return sides
