@@ -18,6 +18,7 @@ from scipy.optimize import nnls
 from scipy.spatial.transform import Rotation
 
 from corporeal.geometry.normals import vertex_normals
+from corporeal.geometry.topology import boundary_loops
 from corporeal.model.files import load_model, save_model
 from corporeal.model.jacobian import Evaluated, evaluate
 from corporeal.model.landmarks import LandmarkSet
@@ -30,6 +31,7 @@ HAND = Path(__file__).resolve().parents[1] / "src/corporeal/model/open_models/ha
 SET_NAME = "hand_21_detector"
 _CANDIDATES = 60
 _RIDGE = 2e-3
+_ARM = 0.10  # metres
 
 
 def sample(model: SurfaceModel, generator: np.random.Generator) -> Evaluated:
@@ -44,10 +46,24 @@ def sample(model: SurfaceModel, generator: np.random.Generator) -> Evaluated:
     return evaluate(model, 0.8 * generator.normal(size=model.shape_count), pose, np.zeros(3))
 
 
+def with_arm(model: SurfaceModel, posed: Evaluated) -> tuple[np.ndarray, np.ndarray]:
+    """The posed surface, drawn out from its opening into a stump of an arm, as scans have one.
+
+    The detector sees a hand that ends at the wrist less often, and its wrist elsewhere.
+    """
+    loop = boundary_loops(model.faces)[0]
+    outward = -posed.T_world_joint[model.cut.joint, :3, :3] @ model.cut.normal
+    ring = np.arange(len(loop)) + len(posed.vertices)
+    following, ring_following = np.roll(loop, -1), np.roll(ring, -1)
+    wall = [np.stack([following, loop, ring], axis=1), np.stack([following, ring, ring_following], axis=1)]
+    vertices = np.concatenate([posed.vertices, posed.vertices[loop] + _ARM * outward])
+    return vertices, np.concatenate([model.faces, *wall])
+
+
 def observe(model: SurfaceModel, posed: Evaluated, detector: HandDetector) -> np.ndarray | None:
     """The landmarks (21, 3) that the detector sees on a posed model, metres; None where it does not."""
-    normals = vertex_normals(posed.vertices, model.faces)
-    scan = Scan("model", posed.vertices, model.faces, normals, None, Unit("m", 1.0))
+    vertices, faces = with_arm(model, posed)
+    scan = Scan("model", vertices, faces, vertex_normals(vertices, faces), None, Unit("m", 1.0))
     found = find_hand_landmarks(scan, detector)
     return found.points if found.ok and found.side_score > 0.5 else None
 
