@@ -88,7 +88,7 @@ def report(
         tolerance: how much a ratio may grow against the baseline, as a share of it.
 
     Returns:
-        The exit status: 0, or 1 when a limit is passed or a ratio has grown by more than the tolerance.
+        The exit status: 0, or 1 when a ratio is over its limit, or a ratio has grown by more than the tolerance.
     """
     known = _stored(baseline).get(title, {}) if baseline else {}
     width = max(len(row.name) for row in rows)
@@ -106,7 +106,7 @@ def report(
         }
         json_path.write_text(json.dumps(content, indent=1, sort_keys=True) + "\n")
     if failed:
-        print("  a limit is passed or a ratio has grown against the baseline", file=sys.stderr)
+        print("  a ratio is over its limit, or a ratio has grown against the baseline", file=sys.stderr)
     return int(failed)
 
 
