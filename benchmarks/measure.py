@@ -117,7 +117,7 @@ def _line(row: Row, width: int, before: float | None, grown: bool) -> str:
         f"{1e3 * ratio.ours_seconds:9.3f} ms / {1e3 * ratio.theirs_seconds:9.3f} ms",
     ]
     if row.limit is not None:
-        parts.append(f"limit {row.limit:.2f} {'ok' if row.within_limit else 'PASSED'}")
+        parts.append(f"limit {row.limit:.2f} {'ok' if row.within_limit else 'OVER'}")
     if before is not None:
         parts.append(f"baseline {before:.3f}{' GROWN' if grown else ''}")
     return "  ".join([*parts, row.remark]).rstrip()
