@@ -1,3 +1,4 @@
+import dataclasses
 import re
 
 import numpy as np
@@ -70,6 +71,18 @@ def test_views_that_do_not_agree_are_refused_with_a_reason(capture, rng, share, 
     assert not found.ok
     assert np.isnan(found.points).all()
     assert re.search(reason, found.reason)
+
+
+def test_a_mesh_that_few_views_show_is_looked_at_again_without_its_noise(capture, rng, monkeypatch):
+    scan, marks = capture
+    mesh = dataclasses.replace(scan, faces=np.array([[0, 1, 2]]))
+    smoothed = []
+    monkeypatch.setattr(Subject, "smoothed", lambda self: smoothed.append(self) or self)
+    assert find_hand_landmarks(mesh, FakeDetector(marks, rng)).views_tried == 96
+    assert not smoothed
+    blind = FakeDetector(marks, rng, blind=1.0)
+    assert not find_hand_landmarks(mesh, blind).ok and len(smoothed) == 1
+    assert not find_hand_landmarks(scan, blind).ok and len(smoothed) == 1  # a cloud has no other picture
 
 
 @pytest.fixture(scope="module")

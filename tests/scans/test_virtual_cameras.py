@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -41,3 +43,29 @@ def test_mesh_and_cloud_make_the_same_picture(with_faces):
     # Lambert under a headlight: cosine between normal and ray, for a ball seen from afar sqrt(1 - r^2 / R^2).
     expected = 0.25 + 0.75 * np.sqrt(1 - (radius[inside] / 36) ** 2)
     np.testing.assert_allclose(picture[inside], expected[:, None] * SKIN, atol=0.06)
+
+
+def test_smoothing_takes_noise_off_and_does_not_shrink(rng):
+    scan = ball(8000, True)
+    noisy = dataclasses.replace(scan, points=scan.points + 3e-4 * rng.normal(size=scan.points.shape))
+    smooth = Subject.of_scan(noisy).smoothed().scan.points
+
+    def radii(points: np.ndarray) -> np.ndarray:
+        return np.linalg.norm(points, axis=1)
+
+    def steepness(points: np.ndarray) -> float:
+        """Root mean square sine between faces and the ball they were on: what the shading shows."""
+        a, b, c = (points[scan.faces[:, k]] for k in range(3))
+        normals = np.cross(b - a, c - a)
+        across = np.cross(normals, a + b + c)
+        return float(np.sqrt(np.mean((radii(across) / radii(normals) / radii(a + b + c)) ** 2)))
+
+    assert radii(smooth).std() < 0.6 * radii(noisy.points).std()
+    assert steepness(smooth) < 0.5 * steepness(noisy.points)
+    assert radii(smooth).mean() == pytest.approx(radii(noisy.points).mean(), abs=2e-5)
+    lone = dataclasses.replace(
+        scan, points=np.r_[scan.points, [[1.0, 2, 3]]], normals=np.r_[scan.normals, [[0.0, 0, 0]]]
+    )
+    np.testing.assert_array_equal(Subject.of_scan(lone).smoothed().scan.points[-1], [1, 2, 3])
+    cloud = Subject.of_scan(ball(50, False))
+    assert cloud.smoothed() is cloud

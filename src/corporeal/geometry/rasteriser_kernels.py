@@ -183,5 +183,9 @@ def blend_normals(points, normals, radii, lens, near, depth, blended, threads):
                     # The smallest weight keeps a disc's own rim from having no normal at all.
                     weight = max(1.0 - squared / (radii[i] * radii[i]), 1e-3)
                     if z >= near and z <= depth[y, x] + radii[i]:
+                        # Towards the camera: guessed normals of either sign must not cancel each other.
+                        facing = normals[i, 0] * rx + normals[i, 1] * ry + normals[i, 2]
+                        if facing > 0.0:
+                            weight = -weight
                         for k in range(3):
                             blended[y, x, k] += weight * normals[i, k]
