@@ -51,7 +51,7 @@ class LandmarkFinder:
         sigmas = {name: float(value) for name, value in zip(found.names, spread, strict=True)}
         notes = [f"landmarks from {found.views_used} virtual views"]
         if set_name != _SETS_FOR_DETECTOR[0]:
-            notes.append("the model's joints stand in for the detector's landmarks: it was not calibrated on it")
+            notes.append("the model's joints stand in for the detector's landmarks: it was not calibrated")
         return LandmarkEvidence(positions, sigmas, found.side_score, set_name), notes
 
     def _of_user(self, scan: Scan, given: dict[str, np.ndarray]) -> LandmarkEvidence:
