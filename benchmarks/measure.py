@@ -88,7 +88,7 @@ def report(
         tolerance: how much a ratio may grow against the baseline, as a share of it.
 
     Returns:
-        The exit status: 0, or 1 when a ratio is over its limit, or a ratio has grown by more than the tolerance.
+        The exit status: 0, or 1 when a ratio is over its limit or has grown by more than the tolerance.
     """
     known = _stored(baseline).get(title, {}) if baseline else {}
     width = max(len(row.name) for row in rows)
