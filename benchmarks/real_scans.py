@@ -28,6 +28,7 @@ import corporeal  # sets the thread policy before numba and OpenBLAS are loaded
 from corporeal.geometry.self_intersection import part_penetration
 from corporeal.model.files import open_model
 from corporeal.model.jacobian import evaluate
+from corporeal.model.parts import part_labels
 from corporeal.registration.measures import beyond_cut, scan_to_mesh
 from corporeal.scans.files import read_scan
 from corporeal.terms.scan_to_surface import MovingSurface
@@ -114,9 +115,7 @@ def measures(variant: Variant, name: str, folder: Path, original: np.ndarray) ->
         beyond_cut(points, model.cut, posed),
     )
     scored = mm * distances.metres[distances.scored]
-    parts = np.full(model.vertex_count, -1, dtype=np.int64)
-    for label, members in enumerate(model.parts.values()):
-        parts[members] = label
+    parts = part_labels(model)
     return {
         "mean": float(scored.mean()),
         "p95": float(np.percentile(scored, 95)),

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from corporeal.geometry.normals import vertex_normals
 from corporeal.model.files import open_model
 from corporeal.model.jacobian import evaluate
-from corporeal.registration.register import LandmarkEvidence
+from corporeal.registration.evidence import LandmarkEvidence
 from corporeal.registration.starts import turned
 from corporeal.scans.scan import Scan, Unit
 
@@ -29,15 +29,17 @@ def hand():
     return open_model("hand")
 
 
-def capture(model, seed, *, noise=0.2e-3, landmark_noise=3e-3, right_probability=0.99):
+def capture(
+    model, seed, *, noise=0.2e-3, landmark_noise=3e-3, right_probability=0.99, shape_spread=0.8, bend=0.5
+):
     """A posed hand of random shape and place, its surface noisy, with a hole on the back."""
     rng = np.random.default_rng(seed)
     block = model.block("hand")
     pose = np.zeros((model.joint_count, 3))
     # Half way to a recorded kind of pose: whole fists press fingers into the palm, no scanner sees that.
     means = block.mixture.means
-    pose[list(block.joints)] = 0.5 * means[seed % len(means)].reshape(-1, 3)
-    shape = 0.8 * rng.normal(size=model.shape_count)
+    pose[list(block.joints)] = bend * means[seed % len(means)].reshape(-1, 3)
+    shape = shape_spread * rng.normal(size=model.shape_count)
     R, t = Rotation.random(random_state=seed).as_matrix(), rng.normal(scale=0.3, size=3)
     vector = turned(model, pose, shape, R, t)
     posed = evaluate(model, shape, vector[3 : 3 + pose.size].reshape(-1, 3), vector[:3])

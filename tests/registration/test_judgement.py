@@ -9,6 +9,7 @@ GOOD = {
     "model_s2m_mean_mm": 1.0,
     "unscored_share": 0.02,
     "shape_norm": 1.0,
+    "largest_shape": 2.0,
     "penetration_mm": 0.0,
 }
 

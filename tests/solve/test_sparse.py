@@ -35,3 +35,13 @@ def test_a_matrix_that_is_not_definite_is_refused():
         factorised(sp.csr_matrix(np.array([[1.0, 2.0], [2.0, 1.0]])))
     with pytest.raises(ArithmeticError, match="positive definite"):
         factorised(sp.csr_matrix(np.array([[1.0, 0.0], [0.0, np.nan]])))
+
+
+def test_duplicates_and_wide_indices_are_understood_and_left_alone(rng):
+    rows, columns = [0, 0, 1, 1, 2], [0, 0, 1, 1, 2]
+    matrix = sp.coo_matrix(([1.0, 2, 3, 1, 2], (rows, columns)), shape=(3, 3))
+    untidy = sp.csr_matrix((matrix.data, np.array(columns), np.array([0, 2, 4, 5])), shape=(3, 3))
+    untidy.indptr, untidy.indices = untidy.indptr.astype(np.int64), untidy.indices.astype(np.int64)
+    right = rng.normal(size=(3, 2))
+    assert np.allclose(factorised(untidy).solve(right), right / np.array([[3.0], [4], [2]]))
+    assert untidy.nnz == 5

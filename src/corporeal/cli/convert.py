@@ -11,7 +11,7 @@ import tyro
 from rich.console import Console
 
 from corporeal.cli.errors import CommandError
-from corporeal.cli.files import write_json
+from corporeal.cli.files import write_result
 from corporeal.cli.info import described
 from corporeal.model.files import LeftHandWarning, ModelFileError, load_model, save_model
 
@@ -66,7 +66,7 @@ def run(config: Convert) -> int:
             "model": described(model),
             "warnings": messages,
         }
-        write_json(config.json, content)
+        write_result(config.json, content)
     return 0
 
 

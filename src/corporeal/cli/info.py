@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from corporeal.cli.errors import CommandError
-from corporeal.cli.files import write_json
+from corporeal.cli.files import write_result
 from corporeal.model.files import LeftHandWarning, ModelFileError, load_model, open_model
 from corporeal.model.formats.families import family_of_tree
 from corporeal.model.surface_model import SurfaceModel
@@ -45,7 +45,7 @@ def run(config: Info) -> int:
     for warning in content["warnings"]:
         Console(stderr=True).print(warning, highlight=False, markup=False, soft_wrap=True)
     if config.json is not None:
-        write_json(config.json, content)
+        write_result(config.json, content)
     return 0
 
 

@@ -14,15 +14,16 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from corporeal.cli.errors import CommandError
-from corporeal.cli.files import write_json
-from corporeal.cli.landmark_evidence import LandmarkFinder
-from corporeal.cli.registration_outputs import registration_row, scale_notes, write_outputs
+from corporeal.cli.files import check_result, write_json, write_result
+from corporeal.cli.registration_outputs import registration_row, remove_outputs, scale_notes, write_outputs
 from corporeal.model.files import ModelFileError, load_model, open_model
 from corporeal.model.surface_model import SurfaceModel
+from corporeal.registration.evidence import LandmarkFinder
 from corporeal.registration.options import RegistrationOptions
 from corporeal.registration.register import register
 from corporeal.registration.registration import FailedRegistration
 from corporeal.scans.files import ScanFileError, read_scan
+from corporeal.scans.scan import Scan
 from corporeal.scans.segmentation import remove_object
 
 
@@ -57,13 +58,18 @@ def run(config: Register) -> int:
     """Register every scan; one bad scan costs one row."""
     _check_call(config)
     model = _model(config.model)
-    finder = LandmarkFinder(model, config.landmarks)
     console = Console(stderr=True)
     items: list[dict[str, Any]] = []
-    with Progress(
-        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"),
-        TimeElapsedColumn(), console=console, transient=True,
-    ) as progress:  # fmt: skip
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.completed}/{task.total}"),
+        TimeElapsedColumn(),
+    )
+    with (
+        _finder(model, config.landmarks) as finder,
+        Progress(*columns, console=console, transient=True) as progress,
+    ):
         task = progress.add_task("registering", total=len(config.scans))
         for path in config.scans:
             items.append(
@@ -73,7 +79,7 @@ def run(config: Register) -> int:
     for item in items:
         console.print(_line(item), highlight=False)
     if config.json is not None:
-        write_json(config.json, {"items": items})
+        write_result(config.json, {"items": items})
     if len(items) > 1:
         counts = Counter(item["status"] for item in items)
         console.print(", ".join(f"{count} {status}" for status, count in sorted(counts.items())))
@@ -88,10 +94,11 @@ def _one(
     seconds = {"landmarks": 0.0, "fit": 0.0}
     folder = config.output / path.stem
     try:
+        remove_outputs(folder)
         on_step(f"{path.name}: reading")
         scan = read_scan(path, unit=config.unit)
         if config.green_objects:
-            scan = remove_object(scan)
+            scan = _without_object(scan)
         on_step(f"{path.name}: landmarks")
         marked = time.perf_counter()
         evidence, notes = finder.find(scan)
@@ -109,7 +116,7 @@ def _one(
             notes = [*result.scan.repairs, *notes, *scale_notes(result.scan)]
             row = registration_row(path, result, result.reason, seconds, notes)
             row["outputs"] = write_outputs(result, folder, row)
-    except (ScanFileError, OSError) as error:
+    except (ScanFileError, ScanContentError, OSError) as error:
         row = registration_row(path, None, str(error), seconds, [])
     except Exception as error:
         # One scan must never cost the others; a fault of ours is reported as one, with its place.
@@ -124,6 +131,24 @@ def _one(
     return row
 
 
+class ScanContentError(ValueError):
+    """A scan that was read but does not allow what was asked."""
+
+
+def _without_object(scan: Scan) -> Scan:
+    try:
+        return remove_object(scan)
+    except ValueError as error:
+        raise ScanContentError(f"--green-objects: {error}") from error
+
+
+def _finder(model: SurfaceModel, landmarks: Path | None) -> LandmarkFinder:
+    try:
+        return LandmarkFinder(model, landmarks)
+    except (ValueError, OSError) as error:
+        raise CommandError(f"--landmarks: {error}", 2) from error
+
+
 def _check_call(config: Register) -> None:
     if not config.scans:
         raise CommandError("register: name at least one scan file", 2)
@@ -131,6 +156,8 @@ def _check_call(config: Register) -> None:
     twice = [stem for stem, count in stems.items() if count > 1]
     if twice:
         raise CommandError(f"register: two scans named {twice[0]!r} would write to one folder; rename one", 2)
+    if config.json is not None:
+        check_result(config.json)
     if config.landmarks is not None and len(config.scans) > 1:
         raise CommandError("register: --landmarks goes with one scan, not with several", 2)
 

@@ -15,6 +15,14 @@ from corporeal.registration.files import save_registration
 from corporeal.registration.registration import Registration
 from corporeal.scans.scan import Scan
 
+_OUTPUTS = ("registration.npz", "registration.ply", "model.ply", "hand.glb", "overview.png")
+
+
+def remove_outputs(folder: Path) -> None:
+    """Drop what an earlier run left: a scan that fails now must not show an old result beside its report."""
+    for name in _OUTPUTS:
+        (folder / name).unlink(missing_ok=True)
+
 
 def registration_row(
     path: Path, result: Registration | None, reason: str, seconds: dict[str, float], notes: list[str]
@@ -52,11 +60,7 @@ def scale_notes(scan: Scan) -> list[str]:
 
 def write_outputs(result: Registration, folder: Path, row: dict[str, Any]) -> dict[str, str]:
     """Write the results of one scan; metres in the .npz and the GLB, the scan's own unit in the PLYs."""
-    folder.mkdir(parents=True, exist_ok=True)
-    paths = {
-        name: folder / name
-        for name in ("registration.npz", "registration.ply", "model.ply", "hand.glb", "overview.png")
-    }
+    paths = {name: folder / name for name in _OUTPUTS}
     save_registration(result, paths["registration.npz"])
     scan, faces, parameters = result.scan, result.model.faces, result.parameters
     write_ply(paths["registration.ply"], scan.in_own_unit(result.vertices), faces)

@@ -227,3 +227,11 @@ def _cut_plane(model: SurfaceModel, bones: tuple[int, ...]) -> CutPlane | None:
     if model.cut is None or model.cut.joint not in bones:
         return None
     return CutPlane(bones.index(model.cut.joint), model.cut.point, model.cut.normal)
+
+
+def part_labels(model: SurfaceModel) -> Int[np.ndarray, " V"]:
+    """Number of every vertex's part in the order of ``model.parts``; -1 for a vertex of none."""
+    labels = np.full(model.vertex_count, -1, dtype=np.int64)
+    for label, members in enumerate(model.parts.values()):
+        labels[members] = label
+    return labels

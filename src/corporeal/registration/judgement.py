@@ -31,6 +31,7 @@ class Bounds:
         model_s2m_mean_mm: mean scan-to-model distance: what free vertices had to make up for.
         unscored_share: share of the hand's points that had to be left out of the score.
         shape_norm: root mean square of the shape coefficients (1 is an average person).
+        largest_shape: largest shape coefficient, whatever its sign.
         penetration_mm: how deep one finger stands in another.
     """
 
@@ -38,6 +39,7 @@ class Bounds:
     model_s2m_mean_mm: tuple[float, float] = (3.5, 8.0)
     unscored_share: tuple[float, float] = (0.10, 0.5)
     shape_norm: tuple[float, float] = (2.5, 5.0)
+    largest_shape: tuple[float, float] = (6.0, 12.0)
     penetration_mm: tuple[float, float] = (2.0, 12.0)
 
 
@@ -57,6 +59,7 @@ def judge(
         "model_s2m_mean_mm": model_distances.summary_mm()["mean"],
         "unscored_share": 1 - distances.scored_share,
         "shape_norm": float(np.sqrt(np.mean(shape**2))) if len(shape) else 0.0,
+        "largest_shape": float(np.abs(shape).max(initial=0.0)),
         "penetration_mm": 1e3 * _deepest(fitter, vertices),
     }
     return verdict_of(signals, bounds)

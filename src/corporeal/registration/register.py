@@ -4,46 +4,32 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
 from corporeal.model.mirror import mirror_model
 from corporeal.model.surface_model import Side, SurfaceModel
+from corporeal.registration.evidence import LandmarkEvidence
 from corporeal.registration.judgement import judge
 from corporeal.registration.measures import beyond_cut, scan_to_mesh
 from corporeal.registration.options import RegistrationOptions
 from corporeal.registration.registration import FailedRegistration, Registration
 from corporeal.registration.search import search_starts
 from corporeal.registration.stages import Fitter, MeasuredLandmarks
-from corporeal.registration.starts import landmark_start, start_poses
+from corporeal.registration.starts import average_scale, landmark_start, start_poses
 from corporeal.registration.target import Target
 from corporeal.scans.scan import Scan
+from corporeal.solve.dogleg import Solution
 from corporeal.terms.model_fields import MODEL
 
 OnStep = Callable[[str], None]
-# Below this share of the better side's cost the other side is not worth a second look.
+# Where the views' labels leave less than this to the other side, it is not tried.
 _CLEAR_SIDE = 0.15
-
-
-@dataclass(frozen=True, eq=False)
-class LandmarkEvidence:
-    """Landmarks of a scan as found or given.
-
-    Attributes:
-        positions: landmark name -> (3,) metres, in the scan's frame.
-        sigmas: landmark name -> standard deviation relative to the others; 1 where it has no entry.
-        right_probability: how likely it is a right hand; 0.5 where nothing is known.
-        set_name: which of the model's landmark sets the names belong to.
-    """
-
-    positions: Mapping[str, np.ndarray]
-    sigmas: Mapping[str, float]
-    right_probability: float
-    set_name: str
+# A start with fewer scan points on the hand's side of the wrist has nothing to fit to.
+_FEWEST_POINTS = 100
 
 
 def model_of_side(model: SurfaceModel, side: Side | None) -> SurfaceModel:
@@ -82,20 +68,36 @@ def register(
         return FailedRegistration(scan, begun, clock.seconds)
     fitter, vector = begun
     with clock.stage("surface"):
-        for stage in options.surface[1:]:
+        for number, stage in enumerate(options.surface[1:], start=2):
+            fitter, vector = _at_average_size(fitter, vector)
             solution = fitter.fit_surface(vector, stage)
             if not solution.outcome.usable:
-                return FailedRegistration(fitter.target.scan, solution.outcome.value, clock.seconds)
+                return _failed(fitter, f"surface stage {number}", solution, clock)
             vector = solution.state.parameters
     with clock.stage("free vertices"):
         vertices = fitter.fields.derive(vector)[MODEL]
-        for free_stage in options.free:
+        for number, free_stage in enumerate(options.free, start=1):
             solution = fitter.fit_free(vector, vertices, free_stage)
             if not solution.outcome.usable or solution.state.free is None:
-                return FailedRegistration(fitter.target.scan, solution.outcome.value, clock.seconds)
+                return _failed(fitter, f"free-vertex stage {number}", solution, clock)
             vector, vertices = solution.state.parameters, solution.state.free
     with clock.stage("measure"):
         return _measured(fitter, vector, vertices, clock.seconds)
+
+
+def _failed(fitter: Fitter, stage: str, solution: Solution, clock: _Clock) -> FailedRegistration:
+    reason = f"{stage} {solution.outcome.value}; look at the scan, or give --landmarks, --side or --unit"
+    return FailedRegistration(fitter.target.scan, reason, clock.seconds)
+
+
+def _at_average_size(
+    fitter: Fitter, vector: Float[np.ndarray, " Q"]
+) -> tuple[Fitter, Float[np.ndarray, " Q"]]:
+    """For a scan without a unit: the scale at which the hand fitted so far has the average size."""
+    if fitter.target.scan.unit.name != "free":
+        return fitter, vector
+    factor, moved = average_scale(fitter.model, vector, fitter.fields.parameters(vector).pose)
+    return fitter.rescaled(1 / factor), moved
 
 
 def _best_start(
@@ -116,13 +118,15 @@ def _best_start(
             else _landmark_starts(sided, target, evidence, options)
         )
         for fitter, vector in starts:
+            if len(fitter.near_points(vector).positions) < _FEWEST_POINTS:
+                continue
             solution = fitter.fit_surface(vector, options.surface[0])
             if not solution.outcome.usable:
                 continue
             if best is None or solution.cost < best[0]:
                 best = (solution.cost, fitter, solution.state.parameters)
     if best is None:
-        return "no start led to a finite fit: the scan may not be a hand, or its unit may be wrong"
+        return "no start led to a fit: the scan may not be a hand, or its unit may be wrong (--unit)"
     return best[1], best[2]
 
 
@@ -139,23 +143,51 @@ def _sides_in_question(
 def _landmark_starts(
     model: SurfaceModel, target: Target, evidence: LandmarkEvidence, options: RegistrationOptions
 ) -> Iterator[tuple[Fitter, Float[np.ndarray, " Q"]]]:
+    """The mixture prior has many valleys; a landmark fit costs 20 ms: the best of three starts is kept."""
+    if evidence.set_name not in model.landmarks:
+        raise ValueError(f"evidence: the model has no landmark set {evidence.set_name!r}")
     known = model.landmarks[evidence.set_name]
+    unknown = sorted(set(evidence.positions) - set(known.names))
+    if unknown:
+        raise ValueError(f"evidence: {unknown[0]!r} is not a landmark of {evidence.set_name!r}")
     names = [name for name in known.names if name in evidence.positions]
-    landmark_set = known.reordered(names)
-    positions = np.array([evidence.positions[name] for name in names])
-    sigmas = np.array([evidence.sigmas.get(name, 1.0) for name in names])
-    shape_count = min(options.shape_count, model.shape_count)
-    poses, weights = start_poses(model), 1 / sigmas**2
-    if target.scan.unit.name == "free":
-        _, scale = landmark_start(model, landmark_set, positions, weights, poses[0], shape_count)
-        target, positions = target.scaled(1 / scale), positions / scale
-    fitter = Fitter(model, target, MeasuredLandmarks(landmark_set, positions, sigmas), options)
-    # The mixture prior has many valleys; a landmark fit costs 20 ms, and the best of three starts is kept.
-    solutions = []
-    for pose in poses:
-        vector, _ = landmark_start(model, landmark_set, positions, weights, pose, shape_count)
-        solutions.append(fitter.fit_landmarks(vector, options.landmarks))
-    yield fitter, min(solutions, key=lambda solution: solution.cost).state.parameters
+    measured = MeasuredLandmarks(
+        known.reordered(names),
+        np.array([evidence.positions[name] for name in names]),
+        np.array([evidence.sigmas.get(name, 1.0) for name in names]),
+    )
+    whole = Fitter(model, target, measured, options)
+    fits = [_landmark_fit(whole, pose) for pose in start_poses(model)]
+    usable = [fit for fit in fits if fit[1].outcome.usable]
+    if usable:
+        fitter, solution = min(usable, key=lambda fit: fit[1].cost)
+        yield fitter, solution.state.parameters
+
+
+def _landmark_fit(fitter: Fitter, pose: Float[np.ndarray, "K 3"]) -> tuple[Fitter, Solution]:
+    """Lay a pose onto the landmarks and fit; without a unit, scale and pose are found in three rounds."""
+    free_scale = fitter.target.scan.unit.name == "free"
+    options = fitter.options.landmarks
+    for _ in range(3 if free_scale else 1):
+        marks = fitter.landmarks
+        if marks is None:
+            raise ValueError("landmark fit: there are no landmarks")
+        weights = 1 / marks.relative_sigmas**2
+        start, scale = landmark_start(
+            fitter.model, marks.landmark_set, marks.positions, weights, pose, fitter.fields.shape_count
+        )
+        if free_scale:
+            fitter = fitter.rescaled(1 / scale)
+            marks = fitter.landmarks or marks
+            start, _ = landmark_start(
+                fitter.model, marks.landmark_set, marks.positions, weights, pose, fitter.fields.shape_count
+            )
+        solution = fitter.fit_landmarks(start, options)
+        if not solution.outcome.usable:
+            break
+        pose = fitter.fields.parameters(solution.state.parameters).pose.copy()
+        pose[0] = 0
+    return fitter, solution
 
 
 def _measured(
@@ -170,9 +202,9 @@ def _measured(
     parameters = fitter.fields.parameters(vector)
     verdict = judge(fitter, vector, vertices, distances, model_distances)
     landmarks: dict[str, np.ndarray] = {}
-    for landmark_set in model.landmarks.values():
+    for landmark_set in list(model.landmarks.values())[:1]:
         positions = landmark_set.positions(posed.vertices, posed.joints)
-        landmarks.update(zip(landmark_set.names, positions, strict=True))
+        landmarks = dict(zip(landmark_set.names, positions, strict=True))
     return Registration(
         scan=scan,
         model=model,

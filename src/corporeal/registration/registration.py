@@ -26,7 +26,7 @@ class Registration:
         parameters: the fitted pose, shape and translation; metres, radians.
         model_vertices: (V, 3) the fitted model alone, metres.
         vertices: (V, 3) the registration: free vertices coupled to the model, metres.
-        landmarks: landmark name -> (3,) the fitted landmarks, metres.
+        landmarks: landmark name -> (3,) the fitted landmarks of the model's first set, metres.
         distances: scan to registration; ``model_distances``: scan to the fitted model alone.
         status: "ok", "doubtful" or "failed"; ``reason`` says why in a sentence.
         correctives: whether pose correctives were used.

@@ -28,6 +28,9 @@ _ROLLS = 8
 _FIRST_ITERATIONS, _FIRST_KEPT = 4, 24
 _ITERATIONS, _KEPT = 15, 6
 _VERTICES = 250
+# Scales tried where the file has no unit, against the provisional one that makes the whole scan hand-sized. A
+# scale that closest points could change shrinks: they only ask that the model lies on the scan.
+_FREE_SCALES = (0.65, 0.8, 1.0, 1.25, 1.55)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,20 +48,26 @@ class _Placement:
 def search_starts(
     model: SurfaceModel, target: Target, options: RegistrationOptions
 ) -> Iterator[tuple[Fitter, Float[np.ndarray, " Q"]]]:
-    """The rigid placements of the mean pose that lie closest to the scan, best first.
+    """The rigid placements of the start poses that lie closest to the scan, best first.
 
-    With the unit "free" every placement has its own scale, and the scan is brought to the model's.
+    With the unit "free" several scales are tried, and the scan is brought to the model's.
     """
     shape = np.zeros(min(options.shape_count, model.shape_count))
     tree = cKDTree(target.samples.first(4000).positions)
-    free_scale = target.scan.unit.name == "free"
+    scales = _FREE_SCALES if target.scan.unit.name == "free" else (1.0,)
+    points = np.asarray(tree.data)
     placements = []
     for pose in start_poses(model):
         vertices = evaluate(model, shape, pose, np.zeros(3)).vertices
         picked = vertices[np.linspace(0, len(vertices) - 1, _VERTICES).astype(np.int64)]
-        placements += [_Placement(pose, picked, R, t) for R, t in _grid(picked, np.asarray(tree.data))]
+        for scale in scales:
+            grid = _grid(scale * picked, points)
+            placements += [_Placement(pose, picked, R, t, scale) for R, t in grid]
     for iterations, kept in ((_FIRST_ITERATIONS, _FIRST_KEPT), (_ITERATIONS, _KEPT)):
-        settled = [_settled(placement, tree, iterations, free_scale=free_scale) for placement in placements]
+        settled = [_settled(placement, tree, iterations) for placement in placements]
+        if len(scales) > 1:
+            settled = sorted(settled, key=lambda placement: placement.cost)[: 8 * _FIRST_KEPT]
+            settled = [_both_ways(placement, points) for placement in settled]
         placements = sorted(settled, key=lambda placement: placement.cost)[:kept]
     for best in placements:
         fitter = Fitter(model, target.scaled(1 / best.scale), None, options)
@@ -84,21 +93,34 @@ def _grid(
             yield R, direction * ((end - tip) @ direction) + across @ (sideways - moved.mean(0))
 
 
-def _settled(placement: _Placement, tree: cKDTree, iterations: int, *, free_scale: bool) -> _Placement:
-    """Rigid (or similarity) closest-point iterations; the cost is the mean of the nearer four fifths."""
-    vertices, R, t, scale = placement.picked, placement.R, placement.t, placement.scale
+def _settled(placement: _Placement, tree: cKDTree, iterations: int) -> _Placement:
+    """Rigid closest-point iterations at a fixed scale; the cost is the mean of the nearer four fifths."""
+    vertices, R, t = placement.scale * placement.picked, placement.R, placement.t
     points = np.asarray(tree.data)
     count = int(0.8 * len(vertices))
     nearer = np.arange(count)
     distance = np.zeros(len(vertices))
     for _ in range(iterations):
-        distance, index = tree.query(scale * vertices @ R.T + t)
+        distance, index = tree.query(vertices @ R.T + t)
         nearer = np.argpartition(distance, count)[:count]
-        fitted, R, _ = similarity(vertices[nearer], points[index[nearer]], np.ones(count))
-        if free_scale:
-            scale = float(np.clip(fitted, 0.7 * scale, 1.4 * scale))
-        t = (points[index[nearer]] - scale * vertices[nearer] @ R.T).mean(0)
-    return replace(placement, R=R, t=t, scale=scale, cost=float(distance[nearer].mean()) / scale)
+        _, R, _ = similarity(vertices[nearer], points[index[nearer]], np.ones(count))
+        t = (points[index[nearer]] - vertices[nearer] @ R.T).mean(0)
+    return replace(placement, R=R, t=t, cost=float(distance[nearer].mean()) / placement.scale)
+
+
+def _both_ways(placement: _Placement, points: np.ndarray) -> _Placement:
+    """Add the way back, from scan points beyond the wrist to the model: a hand too small leaves them far.
+
+    The wrist is taken where the model's vertices end, against the direction of its fingers.
+    """
+    moved = placement.scale * placement.picked @ placement.R.T + placement.t
+    fingers = placement.R @ np.array([-1.0, 0, 0])
+    fingers = fingers if placement.picked[:, 0].mean() < 0 else -fingers
+    beyond = points[points @ fingers > np.quantile(moved @ fingers, 0.1)]
+    if len(beyond) == 0:
+        return replace(placement, cost=np.inf)
+    back = float(cKDTree(moved).query(beyond)[0].mean()) / placement.scale
+    return replace(placement, cost=placement.cost + back)
 
 
 def _sphere(count: int) -> Float[np.ndarray, "n 3"]:

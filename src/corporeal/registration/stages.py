@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from jaxtyping import Float
 from corporeal.geometry.self_intersection import PartSurfaces
 from corporeal.geometry.topology import unique_edges
 from corporeal.model.landmarks import LandmarkSet
+from corporeal.model.parts import part_labels
 from corporeal.model.surface_model import SurfaceModel
 from corporeal.registration.measures import beyond_cut
 from corporeal.registration.options import FreeStage, LandmarkStage, RegistrationOptions, SurfaceStage
@@ -64,6 +66,16 @@ class Fitter:
         )
         self.surface = MovingSurface(model.template, model.faces)
         self.parts = _parts(model)
+
+    def rescaled(self, factor: float) -> Fitter:
+        """The same fit with another estimate of the scan's scale; itself where the factor is 1."""
+        if factor == 1.0:
+            return self
+        other = copy.copy(self)
+        other.target = self.target.scaled(factor)
+        if self.landmarks is not None:
+            other.landmarks = replace(self.landmarks, positions=factor * self.landmarks.positions)
+        return other
 
     def fit_landmarks(self, start: Float[np.ndarray, " Q"], stage: LandmarkStage) -> Solution:
         """Pose, shape and place from landmarks and priors alone."""
@@ -159,7 +171,4 @@ class Fitter:
 def _parts(model: SurfaceModel) -> PartSurfaces | None:
     if len(model.parts) < 2:
         return None
-    part_of_vertex = np.full(model.vertex_count, -1, dtype=np.int64)
-    for label, members in enumerate(model.parts.values()):
-        part_of_vertex[members] = label
-    return PartSurfaces(model.template, model.faces, part_of_vertex)
+    return PartSurfaces(model.template, model.faces, part_labels(model))

@@ -74,3 +74,24 @@ def mean_pose(model: SurfaceModel) -> Float[np.ndarray, "K 3"]:
     for block in model.pose_blocks:
         pose[list(block.joints)] = block.mean.reshape(-1, 3)
     return pose
+
+
+def average_scale(
+    model: SurfaceModel, vector: Float[np.ndarray, " Q"], pose: Float[np.ndarray, "K 3"]
+) -> tuple[float, Float[np.ndarray, " Q"]]:
+    """How much larger the fitted hand is than the average one, and the average one in its place.
+
+    For scans without a unit: the most likely scale under the shape prior is the one at which the hand has the
+    average size. Returned are the factor that the scan has to be divided by, and the parameters that fit the
+    divided scan: the same pose, the average shape, placed on the fitted hand.
+    """
+    size = 3 + pose.size
+    translation, shape = vector[:3], vector[size:]
+    fitted = evaluate(model, shape, pose, translation).vertices
+    average = evaluate(model, np.zeros_like(shape), pose, np.zeros(3)).vertices
+    spread = np.linalg.norm(fitted - fitted.mean(0)), np.linalg.norm(average - average.mean(0))
+    factor = float(spread[0] / spread[1])
+    moved = vector.copy()
+    moved[:3] = fitted.mean(0) / factor - average.mean(0)
+    moved[size:] = 0
+    return factor, moved

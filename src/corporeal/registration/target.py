@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from corporeal.geometry.closest_points import SurfaceTree
-from corporeal.geometry.normals import face_normals
+from corporeal.geometry.normals import face_areas, face_normals
 from corporeal.geometry.topology import open_sides
 from corporeal.scans.flat_patches import flat_patch
 from corporeal.scans.scan import Scan
@@ -56,8 +56,9 @@ class Target:
         flat = flat_patch(self.scan)
         if not flat.any():
             return self.scan
-        share = flat.mean()
-        sentence = f"A flat patch ({share:.0%} of the faces) is no skin and was not fitted to."
+        areas = face_areas(self.scan.points, self.scan.faces)
+        share = areas[flat].sum() / areas.sum()
+        sentence = f"A flat patch ({share:.0%} of the area) is no skin and was not fitted to."
         return dataclasses.replace(self.scan, faces=self.scan.faces[~flat]).with_repair(sentence)
 
     @cached_property

@@ -25,7 +25,7 @@ LANDMARK_NAMES = (
 
 
 class DetectorMissingError(ImportError):
-    """The optional detector is not installed."""
+    """The optional detector is not installed, or a library that it needs is missing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,9 +56,10 @@ class HandDetector:
             try:
                 from mediapipe.python.solutions.hands import Hands
             except ImportError as error:
-                raise DetectorMissingError(
-                    'the hand detector is not installed (pip install "corporeal[detect]")'
-                ) from error
+                sentence = 'the hand detector is not installed (pip install "corporeal[detect]")'
+                if not (error.name or "").startswith("mediapipe"):
+                    sentence = f"the hand detector cannot be loaded: {error}"
+                raise DetectorMissingError(sentence) from error
             self._hands: Any = Hands(
                 static_image_mode=True, max_num_hands=1, min_detection_confidence=minimum_confidence
             )

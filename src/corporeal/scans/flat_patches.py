@@ -13,7 +13,7 @@ _THICKNESS = 2e-3
 _CANDIDATES, _RANKED = 200, 4000
 # The flattest part of the real whole hands is the end of an arm with 6 % of the area; the cut of the partial
 # one holds 30 %.
-_LEAST_SHARE = 0.10
+_LEAST_SHARE, _LARGEST_SHARE = 0.10, 0.70
 
 
 def flat_patch(scan: Scan) -> Bool[np.ndarray, " M"]:
@@ -38,8 +38,9 @@ def flat_patch(scan: Scan) -> Bool[np.ndarray, " M"]:
     ]
     winner = ranked[:: _RANKED // _CANDIDATES][int(np.argmax(counts))]
     best = _on_plane(normals, middles, normals[winner], middles[winner], tolerance)
-    large = areas[best].sum() > _LEAST_SHARE * areas.sum()
-    return best if large else np.zeros(count, dtype=bool)
+    share = areas[best].sum() / areas.sum()
+    # A scan that is nearly all plane is no hand at all: that is for the fit to find out, not to hide here.
+    return best if _LEAST_SHARE < share < _LARGEST_SHARE else np.zeros(count, dtype=bool)
 
 
 def _on_plane(

@@ -36,9 +36,10 @@ class Factorisation:
     """Cholesky factor of a symmetric positive-definite matrix."""
 
     def __init__(self, matrix: sp.csr_matrix) -> None:
-        matrix = matrix.tocsr()
-        matrix.sort_indices()
-        pattern = _pattern(matrix.shape[0], matrix.indptr.tobytes(), matrix.indices.tobytes())
+        matrix = sp.csr_matrix(matrix, copy=True)
+        matrix.sum_duplicates()
+        indptr, indices = matrix.indptr.astype(np.int32), matrix.indices.astype(np.int32)
+        pattern = _pattern(matrix.shape[0], indptr.tobytes(), indices.tobytes())
         values = matrix.data[pattern.entry]
         rows, factor, smallest = kernels.factorise(
             pattern.starts, pattern.rows, values, pattern.parent, pattern.factor_starts
