@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -33,6 +34,9 @@ from corporeal.registration.measures import beyond_cut, scan_to_mesh
 from corporeal.scans.files import read_scan
 from corporeal.terms.scan_to_surface import MovingSurface
 
+DATA = Path(os.environ.get("CORPOREAL_DATA", Path(__file__).parents[2] / "shared" / "data"))
+# Of the registration against the original scan, of the model alone, and how much an alteration may cost.
+LIMITS_MM = {"mean": 0.6, "p95": 2.0, "penetration": 1.0, "model": 2.5, "change": 0.3}
 HEADER = "scan                       status    side     s2m   p95  model inside  fit s wall s"
 SCANS = {
     "hand5": ("scans/hand-scan2knit/hand5.off", "right", 0.5),
@@ -133,11 +137,31 @@ def line(row: dict) -> str:
     return f"{row['variant']:26} {row['status']:9} {row['side']:6} {numbers} {times}  {reason}"
 
 
-def main() -> None:
+def breaches(row: dict, first: dict | None, whole: bool) -> list[str]:
+    """What a row misses; ``first`` is the row of the same scan as it is."""
+    if row["status"] not in ("ok", "doubtful"):
+        return [f"{row['status']}: {row['reason']}"]
+    m, missed = row["against_original_mm"], []
+    if not whole:
+        return missed
+    limits = {"mean": LIMITS_MM["mean"], "p95": LIMITS_MM["p95"], "penetration": LIMITS_MM["penetration"]}
+    missed += [f"{name} {m[name]:.2f} over {limit}" for name, limit in limits.items() if m[name] > limit]
+    if m["scored_share"] < 0.9:
+        missed.append(f"only {m['scored_share']:.0%} scored")
+    if row["side"] != row["expected_side"]:
+        missed.append(f"side {row['side']}, expected {row['expected_side']}")
+    if first is None and row["model_s2m_mm"]["mean"] > LIMITS_MM["model"]:
+        missed.append(f"model alone {row['model_s2m_mm']['mean']:.2f} over {LIMITS_MM['model']}")
+    if first is not None and m["mean"] - first["against_original_mm"]["mean"] > LIMITS_MM["change"]:
+        missed.append(f"mean {m['mean']:.2f} against {first['against_original_mm']['mean']:.2f} as it is")
+    return missed
+
+
+def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
+    parser.add_argument("--data", type=Path, default=DATA)
     parser.add_argument("--out", type=Path)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--only", default="", help="only variants whose name holds this")
@@ -145,11 +169,12 @@ def main() -> None:
     options = parser.parse_args()
     if not options.data.is_dir():
         print(f"real scans not found in {options.data}: nothing measured")
-        return
+        return 0
     out = options.out or Path(tempfile.mkdtemp(prefix="corporeal-"))
     print(f"corporeal {corporeal.__version__}; results in {out}")
     print(HEADER)
-    rows = []
+    rows: list[dict] = []
+    missed: list[str] = []
     for name, (file, side, share) in SCANS.items():
         scan = read_scan(options.data / file)
         original = 1e3 * scan.points
@@ -158,16 +183,22 @@ def main() -> None:
                 continue
             folder = out / f"{name}-{variant.label.replace(' ', '_').replace('%', '').replace(',', '')}"
             row = run_variant(variant, name, folder, options.model)
-            row |= {"variant": f"{name} {variant.label}", "expected_side": side}
+            flipped = {"left": "right", "right": "left"}
+            expected = flipped[side] if variant.mirrored and side else side
+            row |= {"variant": f"{name} {variant.label}", "expected_side": expected}
             if row["status"] in ("ok", "doubtful"):
                 row["against_original_mm"] = measures(variant, name, folder, original)
                 print(line(row), flush=True)
             else:
                 print(f"{row['variant']:26} {row['status']:9} {row['reason']}", flush=True)
+            first = next((r for r in rows if r["variant"] == f"{name} as it is"), None)
+            missed += [f"{row['variant']}: {words}" for words in breaches(row, first, share is not None)]
             rows.append(row)
     if options.json:
         options.json.write_text(json.dumps({"items": rows}, indent=1))
+    print("every limit kept" if not missed else "over a limit:\n  " + "\n  ".join(missed))
+    return 1 if missed else 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())
