@@ -27,9 +27,9 @@ class LandmarkStage:
     iterations: int = 25
 
 
-@dataclass(frozen=True)
-class SurfaceStage:
-    """Model to surface: pose, shape and place with robust distances.
+@dataclass(frozen=True, kw_only=True)
+class DistanceStage:
+    """What every stage that looks at the scan's surface has.
 
     Attributes:
         points: scan points used.
@@ -38,8 +38,6 @@ class SurfaceStage:
         sigma: standard deviation of a distance in metres.
         robust_scale: Geman-McClure scale in metres.
         minimum_cosine: normals must agree at least so much to be matched.
-        scan_share: weight of the surface-to-scan term relative to the scan-to-surface term.
-        landmark_sigma: standard deviation of a landmark in metres.
         shape_sigma: standard deviation of a shape coefficient; below 1 where many correlated distances would
             outvote the prior.
         pose_prior_scale: standard deviations of the pose prior are multiplied by it.
@@ -53,45 +51,58 @@ class SurfaceStage:
     sigma: float
     robust_scale: float
     minimum_cosine: float
-    scan_share: float
-    landmark_sigma: float
-    shape_sigma: float
-    pose_prior_scale: float
-    separation_sigma: float
+    shape_sigma: float = 1.0
+    pose_prior_scale: float = 1.0
+    separation_sigma: float = np.inf
     iterations: int
 
 
-@dataclass(frozen=True)
-class FreeStage:
+@dataclass(frozen=True, kw_only=True)
+class SurfaceStage(DistanceStage):
+    """Model to surface: pose, shape and place with robust distances.
+
+    Attributes:
+        scan_share: weight of the surface-to-scan term relative to the scan-to-surface term.
+        landmark_sigma: standard deviation of a landmark in metres.
+    """
+
+    scan_share: float
+    landmark_sigma: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class FreeStage(DistanceStage):
     """Free vertices coupled to the model (equation 5).
 
     Attributes:
-        points: scan points used.
-        observations: independent observations that all points together stand for.
-        sigma: standard deviation of a distance in metres.
-        robust_scale: Geman-McClure scale in metres.
-        minimum_cosine: normals must agree at least so much to be matched.
         coupling_sigma: standard deviation of an edge's difference from the model's, as a share of its length.
         position_sigma: standard deviation of a vertex's distance from the model's in metres.
-        shape_sigma: standard deviation of a shape coefficient; below 1 where many correlated distances would
-            outvote the prior.
-        pose_prior_scale: standard deviations of the pose prior are multiplied by it.
-        separation_sigma: standard deviation of the depth of one finger in another in metres; infinite leaves
-            the term out.
-        iterations: most solver steps.
     """
 
-    points: int
-    observations: float
-    sigma: float
-    robust_scale: float
-    minimum_cosine: float
     coupling_sigma: float
     position_sigma: float
-    shape_sigma: float
-    pose_prior_scale: float
-    separation_sigma: float
-    iterations: int
+
+
+_WIDE = SurfaceStage(
+    points=1500, observations=300.0, sigma=3e-3, robust_scale=20e-3, minimum_cosine=0.2,
+    scan_share=0.3, landmark_sigma=6e-3, iterations=8,
+)  # fmt: skip
+_MIDDLE = SurfaceStage(
+    points=3000, observations=600.0, sigma=2e-3, robust_scale=10e-3, minimum_cosine=0.3,
+    scan_share=0.3, landmark_sigma=10e-3, pose_prior_scale=1.5, iterations=10,
+)  # fmt: skip
+_NARROW = SurfaceStage(
+    points=5000, observations=1000.0, sigma=1e-3, robust_scale=5e-3, minimum_cosine=0.4,
+    scan_share=0.2, landmark_sigma=30e-3, pose_prior_scale=2.0, separation_sigma=2e-3, iterations=15,
+)  # fmt: skip
+_FREE_WIDE = FreeStage(
+    points=8000, observations=8000.0, sigma=1e-3, robust_scale=4e-3, minimum_cosine=0.4,
+    coupling_sigma=0.10, position_sigma=10e-3, shape_sigma=0.3, separation_sigma=0.2e-3, iterations=5,
+)  # fmt: skip
+_FREE_NARROW = FreeStage(
+    points=16000, observations=16000.0, sigma=0.5e-3, robust_scale=3e-3, minimum_cosine=0.5,
+    coupling_sigma=0.15, position_sigma=10e-3, shape_sigma=0.3, separation_sigma=0.1e-3, iterations=6,
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -111,12 +122,5 @@ class RegistrationOptions:
     correctives: bool = True
     limit_sigma: float = 0.05
     landmarks: LandmarkStage = field(default_factory=LandmarkStage)
-    surface: tuple[SurfaceStage, ...] = (
-        SurfaceStage(1500, 300.0, 3e-3, 20e-3, 0.2, 0.3, 6e-3, 1.0, 1.0, np.inf, 8),
-        SurfaceStage(3000, 600.0, 2e-3, 10e-3, 0.3, 0.3, 10e-3, 1.0, 1.5, np.inf, 10),
-        SurfaceStage(5000, 1000.0, 1e-3, 5e-3, 0.4, 0.2, 30e-3, 1.0, 2.0, 2e-3, 15),
-    )
-    free: tuple[FreeStage, ...] = (
-        FreeStage(8000, 8000.0, 1e-3, 4e-3, 0.4, 0.10, 10e-3, 0.3, 1.0, 0.2e-3, 5),
-        FreeStage(16000, 16000.0, 0.5e-3, 3e-3, 0.5, 0.15, 10e-3, 0.3, 1.0, 0.1e-3, 6),
-    )
+    surface: tuple[SurfaceStage, ...] = (_WIDE, _MIDDLE, _NARROW)
+    free: tuple[FreeStage, ...] = (_FREE_WIDE, _FREE_NARROW)

@@ -1,6 +1,6 @@
 """Symmetric positive-definite sparse systems behind one function, so that the library can be exchanged.
 
-Why not scipy's ``splu`` alone: with the 200 right-hand sides of one registration step its solve was the
+Why not scipy's ``splu`` alone: with the 246 right-hand sides of one registration step its solve was the
 largest part of a whole registration (27 ms a step, and up to 900 ms where OpenBLAS's and numba's threads
 fought over the cores); this one takes 8 ms. The fill-reducing order still comes from SuperLU.
 """
