@@ -15,7 +15,7 @@ export OMP_WAIT_POLICY := PASSIVE
 
 demo: $(VENV)/.demo
 	$(BIN)/corporeal register $(SCAN) -o $(OUT) --json $(OUT)/result.json
-	@echo "Results are in $(OUT)/: open overview.png for a look, hand.glb in any glTF viewer."
+	@echo "Results are in $(OUT)/$(basename $(notdir $(SCAN)))/: open overview.png for a look, hand.glb in any glTF viewer."
 
 test: lint
 	$(BIN)/python -m pytest -q -n auto
