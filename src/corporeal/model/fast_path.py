@@ -21,10 +21,10 @@ _PARALLEL_BASIS = 3_000_000
 _PARALLEL_JOINTS = 1_000
 _CHUNKS = 16
 _SPLITS = 8  # of the vertices on the way back, each with its own sums
-# A pass writes the rest surfaces of a part of a large batch by a matrix product and skins them while they are
-# in the cache. 16 MB also come from memory that the allocator has mapped: the whole 32 MB of 256 bodies took
-# a third longer, passes of 2 MB twice as long.
-_PASS_BYTES = 16_000_000
+# A pass writes the rest surfaces of a part of a large batch by a matrix product and skins them. Its size bounds
+# the memory beside the result: passes of 16, 8 and 4 MB were measured to be 1.1, 1.3 and 1.8 times as slow as
+# one of 64 MB for 256 bodies, because the product becomes narrow.
+_PASS_BYTES = 64_000_000
 
 
 class Parameters(NamedTuple):
@@ -108,9 +108,8 @@ class _Posing(torch.autograd.Function):
             skinning_kernels.pose_few(chunks, given, model, state, rests[0], vertices.numpy())
         else:
             skinning_kernels.chain(B * K > _PARALLEL_JOINTS, given, model, state)
-            rests = _pose_many(tensors, given, state, vertices.numpy())
-        ctx.given, ctx.state = given, state
-        ctx.rests = rests if any(ctx.needs_input_grad) else None
+            rests = _pose_many(tensors, given, state, vertices.numpy(), keep_rests=any(ctx.needs_input_grad))
+        ctx.given, ctx.state, ctx.rests = given, state, rests
         return vertices, joints, T_world_joint
 
     @staticmethod
@@ -191,15 +190,25 @@ def _passes(vertices: np.ndarray) -> list[slice]:
 
 
 def _pose_many(
-    tensors: ModelTensors, given: Parameters, state: BatchState, vertices: np.ndarray
+    tensors: ModelTensors, given: Parameters, state: BatchState, vertices: np.ndarray, *, keep_rests: bool
 ) -> list[np.ndarray]:
-    """Skin a large batch, pass by pass; the passes' rest surfaces (3 V, surfaces) are for the way back."""
+    """Skin a large batch, pass by pass.
+
+    The passes' rest surfaces (3 V, surfaces) are kept for the way back; where there is none, all passes write
+    to the same memory, which is mapped once.
+    """
     basis, rows = tensors.basis[:, : state.row.shape[1]], torch.from_numpy(state.row)
-    rests = []
+    rests: list[np.ndarray] = []
+    scratch: Tensor | None = None
     for part in _passes(vertices):
-        rests.append(torch.mm(basis, rows[part].T).numpy())
+        columns = rows[part].T
+        if keep_rests or scratch is None or scratch.shape[1] != columns.shape[1]:
+            scratch = basis.new_empty(len(basis), columns.shape[1])
+        rest = torch.mm(basis, columns, out=scratch).numpy()
         motion = _to_lanes(state.motion[part])
-        lane_kernels.pose_many(tensors.cpu_arrays, motion, rests[-1], given.translation[part], vertices[part])
+        lane_kernels.pose_many(tensors.cpu_arrays, motion, rest, given.translation[part], vertices[part])
+        if keep_rests:
+            rests.append(rest)
     return rests
 
 
