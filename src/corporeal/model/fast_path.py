@@ -21,9 +21,9 @@ _PARALLEL_BASIS = 3_000_000
 _PARALLEL_JOINTS = 1_000
 _CHUNKS = 16
 _SPLITS = 8  # of the vertices on the way back, each with its own sums
-# A pass writes the rest surfaces of a part of a large batch by a matrix product and skins them. Its size bounds
-# the memory beside the result: passes of 16, 8 and 4 MB were measured to be 1.1, 1.3 and 1.8 times as slow as
-# one of 64 MB for 256 bodies, because the product becomes narrow.
+# A pass writes the rest surfaces of a part of a large batch by a matrix product and skins them. Its size
+# bounds the memory beside the result: passes of 16, 8 and 4 MB were measured to be 1.1, 1.3 and 1.8 times as
+# slow as one of 64 MB for 256 bodies, because the product becomes narrow.
 _PASS_BYTES = 64_000_000
 
 
