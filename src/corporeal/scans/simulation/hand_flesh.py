@@ -1,0 +1,268 @@
+"""One person's soft hand: where the bones lie in the flesh, and how skin follows the tetrahedra."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from corporeal.scans.simulation.files import HandSimulator
+from corporeal.scans.simulation.skeleton import bone_transforms
+from corporeal.scans.simulation.soft_body import FleshOptions, PosedFlesh, SoftBody
+from corporeal.solve.sparse import factorised
+
+HAND = 1
+# Bones fill this share of the way from their axis to the skin.
+_BONE_SHARE = 0.45
+# Where bones end before a joint, in their own radius: at 90 degrees two round ends just miss each other.
+_CLEARANCE = 1.25
+_JOINT_SHARE = 0.6
+_END_CAP = 4e-3
+# How closely the tetrahedra follow the skin of another person, against how smoothly they are carried.
+_FAITH = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class PosedHand:
+    """A settled hand.
+
+    Attributes:
+        surface: (N, 3) the simulator's surface vertices, metres.
+        motions: (17, 4, 4) motion of every bone from rest.
+        flesh: what the solver says of it.
+        pose_share: how much of the pose was reached: less than 1 where fingers would have had to pass through
+            one another.
+    """
+
+    surface: Float[np.ndarray, "N 3"]
+    motions: Float[np.ndarray, "17 4 4"]
+    flesh: PosedFlesh
+    pose_share: float
+
+
+class SoftHand:
+    """A person's right hand (or the mirror image of the left one) that can be posed.
+
+    Attributes:
+        joints: (22, 3) bones' heads and tips at rest, metres.
+        rest_surface: (N, 3) skin at rest, metres.
+        rest_tets: (T, 3) vertices of the tetrahedra at rest, metres.
+        body: the flesh.
+    """
+
+    def __init__(
+        self,
+        simulator: HandSimulator,
+        surface: Float[np.ndarray, "N 3"],
+        joints: Float[np.ndarray, "22 3"],
+        options: FleshOptions | None = None,
+    ) -> None:
+        """Carry the tetrahedra over to a person and find the bones in them.
+
+        Args:
+            simulator: the base hand.
+            surface: skin of the person at rest, metres.
+            joints: heads of the bones, then finger tips, metres.
+            options: flesh.
+
+        Raises:
+            ValueError: the person is so unlike the base hand that an element is inverted at rest.
+        """
+        self._simulator = simulator
+        self.joints = joints
+        embedding = _embedding(simulator)
+        self._embedding = embedding
+        self.rest_tets = simulator.tet_vertices + _carried_over(simulator, surface - simulator.surface_vertices)
+        # What the tetrahedra do not follow of the skin stays on it as an offset of the rest shape.
+        self.rest_surface = surface
+        weights = _tet_weights(simulator)
+        fixed = _fixed_bones(self.rest_tets, weights, surface, simulator.weights, joints, simulator.parents)
+        part = _PART_OF_BONE[weights.argmax(1)]
+        extra = np.zeros((len(weights), len(_HINGES)))
+        self.body = SoftBody(
+            self.rest_tets, simulator.tets, np.hstack([weights, extra]), fixed, part, options
+        )
+
+    def posed(self, angles: Float[np.ndarray, "17 3"]) -> PosedHand:
+        """Settle the flesh at a pose.
+
+        Args:
+            angles: degrees, absolute: flexion, spread and twist of every bone against the flat hand.
+        """
+        rest = self._simulator.rest_angles
+        share = 1.0
+        for _ in range(_TRIES):
+            count = self.body.options.increments
+            shares = share * np.arange(1, count + 1) / count
+            motions = [self._motions(rest + s * (angles - rest)) for s in shares]
+            flesh = self.body.posed(np.array(motions))
+            if flesh.smallest_det > 0 and flesh.deepest < _DEEPEST:
+                break
+            share *= _RELAXED
+        return PosedHand(self._skin(flesh.vertices), motions[-1][: len(rest)], flesh, share)
+
+    def skinned(self, angles: Float[np.ndarray, "17 3"]) -> Float[np.ndarray, "N 3"]:
+        """Linear skinning of the same surface with the base hand's weights, metres."""
+        motions = bone_transforms(self._simulator, self.joints, angles)
+        blended = np.einsum("vk,kab->vab", self._simulator.weights, motions[:, :3])
+        return np.einsum("vab,vb->va", blended[:, :, :3], self.rest_surface) + blended[:, :, 3]
+
+    def _motions(self, angles: np.ndarray) -> np.ndarray:
+        """Bones, then the ends of bones in the joints, which turn half as far as the bone that follows."""
+        motions = bone_transforms(self._simulator, self.joints, angles)
+        halves = np.tile(np.eye(4), (len(_HINGES), 1, 1))
+        for h, bone in enumerate(_HINGES):
+            parent = motions[self._simulator.parents[bone]]
+            turn = Rotation.from_matrix(parent[:3, :3].T @ motions[bone, :3, :3]).as_rotvec()
+            half = Rotation.from_rotvec(turn / 2).as_matrix()
+            centre = self.joints[bone]
+            halves[h, :3, :3] = parent[:3, :3] @ half
+            halves[h, :3, 3] = parent[:3, :3] @ (centre - half @ centre) + parent[:3, 3]
+        return np.concatenate([motions, halves])
+
+    def _skin(self, vertices: np.ndarray) -> np.ndarray:
+        """Skin in the posed tetrahedra.
+
+        Linear interpolation alone leaves the facets of 3 mm tetrahedra in the skin; half the step from each
+        corner with the corner's own mean gradient makes it exact for quadratic motions.
+        """
+        nearest, shares = self._embedding
+        gradients = _vertex_gradients(self.rest_tets, vertices, self._simulator.tets)
+        corners = self._simulator.tets[nearest]
+        offset = self.rest_surface[:, None] - self.rest_tets[corners]
+        steps = np.einsum("ncab,ncb->nca", gradients[corners], offset)
+        middle = np.einsum("nc,nca->na", shares, self.rest_tets[corners])
+        left_over = self.rest_surface - middle
+        mean = np.einsum("nc,ncab->nab", shares, gradients[corners])
+        linear = np.einsum("nc,nca->na", shares, vertices[corners])
+        linear += np.einsum("nab,nb->na", mean, left_over)
+        return 0.5 * (linear + np.einsum("nc,nca->na", shares, vertices[corners] + steps))
+
+
+# Index, middle, little, ring and thumb hold three bones each behind forearm and hand.
+_PART_OF_BONE = np.concatenate([[0, 0], np.repeat(np.arange(1, 6), 3)])
+_HINGES = tuple(range(2, 17))
+_PALM_ENDS = (2, 5, 8, 11)
+_TRIES, _RELAXED, _DEEPEST = 4, 0.85, 1e-3
+
+
+def bone_segments(
+    joints: Float[np.ndarray, "22 3"],
+) -> tuple[Float[np.ndarray, "s 2 3"], Int[np.ndarray, " s"]]:
+    """Axes of the bones, from head to end, and the bone that each belongs to; the hand has four."""
+    segments, bones = [(joints[0], joints[HAND])], [0]
+    for end in _PALM_ENDS:
+        segments.append((joints[HAND], joints[end]))
+        bones.append(HAND)
+    for finger in range(5):
+        first = 2 + 3 * finger
+        ends = [joints[first + 1], joints[first + 2], joints[17 + finger]]
+        for k, end in enumerate(ends):
+            segments.append((joints[first + k], end))
+            bones.append(first + k)
+    return np.array(segments), np.array(bones)
+
+
+def _fixed_bones(
+    vertices: np.ndarray, weights: np.ndarray, surface: np.ndarray, surface_weights: np.ndarray,
+    joints: np.ndarray, parents: np.ndarray,
+) -> np.ndarray:  # fmt: skip
+    """The bone or hinge that every vertex is fixed to, -1 for flesh."""
+    fixed = np.full(len(vertices), -1)
+    segments, bones = bone_segments(joints)
+    own, radius = surface_weights.argmax(1), np.zeros(17)
+    for bone in np.unique(bones):
+        axes = segments[bones == bone]
+        skin = surface[own == bone]
+        distance = np.min([_to_segment(skin, *axis)[0] for axis in axes], axis=0)
+        radius[bone] = _BONE_SHARE * np.median(distance)
+    for (head, end), bone in zip(segments, bones, strict=True):
+        distance, along = _to_segment(vertices, head, end)
+        length = np.linalg.norm(end - head)
+        margin = _CLEARANCE * radius[bone] / length
+        # The forearm is cut: it has no end there. The hand's bones begin at the wrist without a gap.
+        low = -np.inf if bone == 0 else 0.05 if bone == HAND else margin
+        inside = (distance < radius[bone]) & (along > low) & (along < 1 - margin)
+        # A finger's bone must not take hold of the next finger's flesh.
+        inside &= _PART_OF_BONE[weights.argmax(1)] == _PART_OF_BONE[bone]
+        fixed[inside & (fixed < 0)] = bone
+    for h, bone in enumerate(_HINGES):
+        size = _JOINT_SHARE * min(radius[bone], radius[parents[bone]])
+        near = np.linalg.norm(vertices - joints[bone], axis=1) < size
+        fixed[near & (fixed < 0)] = 17 + h
+    arm = (joints[HAND] - joints[0]) / np.linalg.norm(joints[HAND] - joints[0])
+    height = vertices @ arm
+    fixed[height < height.min() + _END_CAP] = 0
+    return fixed
+
+
+def _to_segment(points: np.ndarray, head: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distance to a segment, and where along it (0 to 1, beyond at the ends)."""
+    along = (points - head) @ (end - head) / ((end - head) @ (end - head))
+    nearest = head + np.clip(along, 0, 1)[:, None] * (end - head)
+    return np.linalg.norm(points - nearest, axis=1), along
+
+
+@lru_cache(maxsize=2)
+def _embedding(simulator: HandSimulator) -> tuple[np.ndarray, np.ndarray]:
+    """The tetrahedron that every surface vertex lies in (or nearly), and its barycentric weights."""
+    corners = simulator.tet_vertices[simulator.tets]
+    _, near = cKDTree(corners.mean(1)).query(simulator.surface_vertices, k=24)
+    inverse = np.linalg.inv((corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1))
+    offset = simulator.surface_vertices[:, None] - corners[near, 0]
+    others = np.einsum("nkab,nkb->nka", inverse[near], offset)
+    shares = np.concatenate([1 - others.sum(-1, keepdims=True), others], axis=-1)
+    best = shares.min(-1).argmax(1)
+    rows = np.arange(len(best))
+    return near[rows, best], shares[rows, best]
+
+
+@lru_cache(maxsize=2)
+def _tet_weights(simulator: HandSimulator) -> np.ndarray:
+    """Skinning weights of the tetrahedra's vertices, spread smoothly from the surface."""
+    weights = np.maximum(_carried_over(simulator, simulator.weights), 0)
+    return weights / weights.sum(1, keepdims=True)
+
+
+@lru_cache(maxsize=2)
+def _carrier(simulator: HandSimulator) -> tuple[sp.csr_matrix, object]:
+    nearest, shares = _embedding(simulator)
+    count, size = len(nearest), len(simulator.tet_vertices)
+    rows = np.repeat(np.arange(count), 4)
+    onto = sp.csr_matrix((shares.ravel(), (rows, simulator.tets[nearest].ravel())), shape=(count, size))
+    corners = simulator.tet_vertices[simulator.tets]
+    edges = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
+    inverse = np.linalg.inv(edges)
+    gradients = np.concatenate([-inverse.sum(1, keepdims=True), inverse], axis=1)
+    volumes = np.linalg.det(edges) / 6
+    local = np.einsum("eia,eja,e->eij", gradients, gradients, volumes)
+    i, j = np.repeat(simulator.tets, 4, axis=1).ravel(), np.tile(simulator.tets, (1, 4)).ravel()
+    laplacian = sp.csr_matrix((local.ravel(), (i, j)), shape=(size, size))
+    scale = _FAITH * laplacian.diagonal().mean()
+    return onto, (factorised(sp.csr_matrix(scale * onto.T @ onto + laplacian)), scale)
+
+
+def _carried_over(simulator: HandSimulator, values: np.ndarray) -> np.ndarray:
+    """Values of the tetrahedra's vertices that agree with those of the surface and are smooth inside."""
+    onto, (solver, scale) = _carrier(simulator)
+    return solver.solve(scale * (onto.T @ values))
+
+
+def _vertex_gradients(rest: np.ndarray, posed: np.ndarray, tets: np.ndarray) -> np.ndarray:
+    """(T, 3, 3) deformation gradients of vertices: the volume-weighted mean of their tetrahedra's."""
+    corners, moved = rest[tets], posed[tets]
+    edges = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
+    volumes = np.linalg.det(edges)
+    gradient = (moved[:, 1:] - moved[:, :1]).transpose(0, 2, 1) @ np.linalg.inv(edges)
+    total = np.zeros((len(rest), 3, 3))
+    weight = np.bincount(tets.ravel(), np.repeat(volumes, 4), minlength=len(rest))
+    for a in range(3):
+        for b in range(3):
+            values = np.repeat(volumes * gradient[:, a, b], 4)
+            total[:, a, b] = np.bincount(tets.ravel(), values, minlength=len(rest))
+    return total / weight[:, None, None]
