@@ -1,0 +1,208 @@
+"""``corporeal simulate``: a virtual capture session with the truth beside every scan."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import multiprocessing
+import os
+import time
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+import corporeal
+from corporeal.atomic import write_bytes
+from corporeal.cli.errors import CommandError
+from corporeal.cli.files import check_result, write_json, write_result
+from corporeal.export.meshes import write_ply
+from corporeal.scans.simulation.faults import spoil_file
+from corporeal.scans.simulation.simulate import (
+    PlannedScan,
+    ScanTruth,
+    SimulationOptions,
+    plan_session,
+    simulate_scan,
+    subjects_of,
+)
+
+_FORMAT = "corporeal-session-1"
+# Threads of one worker: the workers share the cores, and sums keep their order, so that bytes repeat.
+_SINGLE = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+@dataclass(frozen=True)
+class Simulate:
+    """Simulate a capture session of hands: soft flesh, a stereo scanner, faults, and the truth.
+
+    Attributes:
+        output: folder of the session; an interrupted one is continued.
+        subjects: number of people.
+        poses: number of protocol poses; every hand does about five eighths of them.
+        seed: everything follows from it.
+        sides: which hands.
+        objects: put green objects into grasps.
+        bad_one_in: one scan in so many is spoilt on purpose; 0 for none.
+        workers: processes; 0 for one per core.
+        json: also write the machine-readable result to this file.
+    """
+
+    output: tyro.conf.Positional[Path]
+    subjects: int = 31
+    poses: int = 51
+    seed: int = 0
+    sides: Literal["both", "right", "left"] = "both"
+    objects: bool = False
+    bad_one_in: int = 40
+    workers: int = 0
+    json: Annotated[Path | None, tyro.conf.arg()] = None
+
+
+def run(config: Simulate) -> int:
+    """Make what is missing of a session."""
+    options = SimulationOptions(
+        config.subjects, config.poses, config.seed, config.sides, config.objects, config.bad_one_in
+    )
+    _check_call(config)
+    plan = plan_session(options)
+    _write_session(config.output, options, plan)
+    missing = [scan for scan in plan if not _truth_file(config.output, scan).exists()]
+    console = Console(stderr=True)
+    if len(missing) < len(plan):
+        console.print(f"{len(plan) - len(missing)} of {len(plan)} scans are there already", soft_wrap=True)
+    begun = time.perf_counter()
+    _make_all(config, options, missing, console)
+    seconds = time.perf_counter() - begun
+    if missing:
+        console.print(
+            f"{len(missing)} scans in {seconds:.0f} s, {seconds / len(missing):.2f} s each; {config.output}",
+            soft_wrap=True,
+            highlight=False,
+        )
+    if config.json is not None:
+        write_result(config.json, {"scans": len(plan), "made": len(missing), "seconds": seconds})
+    return 0
+
+
+def _make_all(
+    config: Simulate, options: SimulationOptions, missing: list[PlannedScan], console: Console
+) -> None:
+    workers = min(config.workers or os.cpu_count() or 1, max(len(missing), 1))
+    for variable in _SINGLE:
+        os.environ[variable] = "1"
+    # One person's hand is prepared once: a worker takes all poses of it that are missing.
+    hands: dict[tuple[int, str], list[PlannedScan]] = {}
+    for scan in missing:
+        hands.setdefault((scan.subject, scan.side), []).append(scan)
+    pieces = [part for scans in hands.values() for part in _pieces(scans)]
+    columns = (
+        TextColumn("simulating"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"),
+        TimeRemainingColumn(),
+    )  # fmt: skip
+    context = multiprocessing.get_context("spawn")
+    with (
+        ProcessPoolExecutor(workers, mp_context=context) as pool,
+        Progress(*columns, console=console, transient=True) as progress,
+    ):
+        task = progress.add_task("", total=len(missing), rate="")
+        begun, done = time.perf_counter(), 0
+        futures = [pool.submit(make_scans, config.output, options, piece) for piece in pieces]
+        try:
+            for future in as_completed(futures):
+                done += future.result()
+                rate = (time.perf_counter() - begun) / max(done, 1)
+                progress.update(task, completed=done, rate=f"{rate:.2f} s a scan")
+        except OSError as error:
+            pool.shutdown(cancel_futures=True)
+            raise CommandError(f"{config.output}: cannot be written: {error}") from error
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def _pieces(scans: list[PlannedScan]) -> list[list[PlannedScan]]:
+    """Eight scans at a time, so that the bar moves and the last worker does not work alone for long."""
+    return [scans[i : i + 8] for i in range(0, len(scans), 8)]
+
+
+def make_scans(folder: Path, options: SimulationOptions, scans: list[PlannedScan]) -> int:
+    """Make scans and write each with its truth; the truth comes last and says that the scan is whole."""
+    for planned in scans:
+        made = simulate_scan(planned, options)
+        path = folder / "scans" / f"{planned.name}.ply"
+        write_ply(path, made.points_mm.astype(np.float32), made.faces, colours=made.colours)
+        spoil_file(path, planned.fault)
+        _write_truth(_truth_file(folder, planned), made.truth)
+    return len(scans)
+
+
+def _write_truth(path: Path, truth: ScanTruth) -> None:
+    arrays = {name: np.asarray(value) for name, value in dataclasses.asdict(truth).items()}
+    arrays["template"] = arrays["template"].astype(np.float32)
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)
+    write_bytes(path, buffer.getvalue())
+
+
+def _truth_file(folder: Path, scan: PlannedScan) -> Path:
+    return folder / "truth" / f"{scan.name}.npz"
+
+
+def _write_session(folder: Path, options: SimulationOptions, plan: tuple[PlannedScan, ...]) -> None:
+    subjects = subjects_of(options)
+    content: dict[str, Any] = {
+        "format": _FORMAT,
+        "unit": "mm",
+        "made_by": f"corporeal {corporeal.__version__} simulate",
+        "options": dataclasses.asdict(options),
+        "scans": [
+            {
+                "name": scan.name,
+                "file": f"scans/{scan.name}.ply",
+                "subject": subjects[scan.subject].name,
+                "protocol_pose": scan.protocol_pose,
+                "side": scan.side,
+            }
+            for scan in plan
+        ],
+    }
+    path = folder / "session.json"
+    try:
+        _check_same(path, content["options"])
+        write_json(path, content)
+        for part in ("scans", "truth"):
+            (folder / part).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CommandError(f"{folder}: cannot be written: {error.strerror or error}", 2) from error
+
+
+def _check_same(path: Path, options: dict[str, Any]) -> None:
+    """Refuse to continue a session that was begun with other options."""
+    import json
+
+    if not path.exists():
+        return
+    try:
+        before = json.loads(path.read_text()).get("options", {})
+    except (ValueError, AttributeError) as error:
+        raise CommandError(f"{path}: is no session file: {error}", 2) from error
+    changed = [name for name, value in options.items() if before.get(name) != value]
+    if changed:
+        words = ", ".join(f"--{name.replace('_', '-')} {before.get(name)}" for name in changed)
+        raise CommandError(f"{path.parent}: was begun with {words}; continue with that or take another folder", 2)
+
+
+def _check_call(config: Simulate) -> None:
+    for name in ("subjects", "poses"):
+        if getattr(config, name) < 1:
+            raise CommandError(f"--{name}: expected at least 1, got {getattr(config, name)}", 2)
+    if config.bad_one_in < 0 or config.workers < 0 or config.seed < 0:
+        raise CommandError("--bad-one-in, --workers and --seed: expected 0 or more", 2)
+    if config.json is not None:
+        check_result(config.json)

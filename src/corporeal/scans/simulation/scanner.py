@@ -1,0 +1,190 @@
+"""A virtual 4D scanner: five stereo units, occlusion, depth noise, holes, one fused and meshed scan."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Float, Int, UInt8
+from scipy.sparse.csgraph import connected_components
+
+from corporeal.geometry.cameras import Pinhole
+from corporeal.geometry.normals import vertex_normals
+from corporeal.geometry.rasteriser import rasterise
+from corporeal.scans.simulation import scanner_kernels as kernels
+from corporeal.scans.simulation.sampling_pattern import SamplingPattern
+
+_SHADOW = 0.6e-3  # metres behind the nearest surface at which a point counts as hidden
+_FEW_FACES = 40  # smaller islands are dropped, as the makers' software does
+
+
+@dataclass(frozen=True, eq=False)
+class SampledSurface:
+    """A surface to be scanned: vertices (V, 3) metres, faces (F, 3), colours (V, 3) 0-255, and where its points fall.
+
+    The pattern lives on the faces, so it follows a surface that deforms.
+    """
+
+    vertices: Float[np.ndarray, "V 3"]
+    faces: Int[np.ndarray, "F 3"]
+    colours: Float[np.ndarray, "V 3"]
+    pattern: SamplingPattern
+
+
+@dataclass(frozen=True)
+class ScannerOptions:
+    """The scanner.
+
+    Attributes:
+        noise: root mean square distance of points from the surface along the line of sight, metres.
+        distance: of the units from the hand, metres; ``baseline`` between a unit's two cameras.
+        steepest: degrees between normal and line of sight beyond which stereo finds nothing.
+        pixels: of a camera's picture, either way.
+        jitter: how far points move within their faces, as a share of the face.
+        ragged: share of the points at the edge of a hole that are lost too.
+    """
+
+    noise: float = 0.2e-3
+    distance: float = 0.75
+    baseline: float = 0.16
+    steepest: float = 72.0
+    pixels: int = 520
+    jitter: float = 0.25
+    ragged: float = 0.35
+
+
+@dataclass(frozen=True, eq=False)
+class RawCapture:
+    """A meshed scan: points (N, 3) with noise in metres, faces (M, 3), colours (N, 3), points without noise."""
+
+    points: Float[np.ndarray, "N 3"]
+    faces: Int[np.ndarray, "M 3"]
+    colours: UInt8[np.ndarray, "N 3"]
+    clean: Float[np.ndarray, "N 3"]
+
+
+# Azimuth and elevation of the five units in degrees, round a hand that points up.
+_UNITS = ((0.0, 15.0), (75.0, 5.0), (150.0, 25.0), (215.0, 5.0), (290.0, 20.0))
+
+
+def scan_surface(
+    hand: SampledSurface, props: Sequence[SampledSurface], options: ScannerOptions, generator: np.random.Generator
+) -> RawCapture:
+    """Scan a hand and what stands beside it.
+
+    Args:
+        hand: posed, in the scanner's frame, fingers up (+z).
+        props: objects and stands; they hide and are scanned too.
+        options: the scanner.
+        generator: the same state gives the same scan.
+    """
+    surfaces = [hand, *props]
+    parts = [_sampled(surface, options.jitter, generator) for surface in surfaces]
+    points, normals, colours = (np.concatenate([part[k] for part in parts]) for k in range(3))
+    triangles = _joined([surface.pattern.triangles for surface in surfaces], [len(part[0]) for part in parts])
+    scene = np.concatenate([surface.vertices for surface in surfaces])
+    scene_faces = _joined([s.faces for s in surfaces], [len(s.vertices) for s in surfaces])
+    direction, cosine = _measured(points, normals, scene, scene_faces, hand.vertices, options)
+    seen = cosine > 0
+    seen &= ~_ragged(triangles, seen, options.ragged, generator)
+    noisy = points + direction * _noise(triangles, cosine, seen, options.noise, generator)[:, None]
+    light = 0.55 + 0.45 * np.clip(normals @ np.array([0.2, 0.35, 0.9]), -0.6, 1)
+    shade = colours * light[:, None] + 2.5 * generator.normal(size=colours.shape)
+    kept, faces = _pieces(triangles[seen[triangles].all(axis=1)], len(points))
+    # Places in the list must not tell where on the hand a point lies.
+    shuffle = generator.permutation(len(kept))
+    place = np.empty(len(kept), dtype=np.int64)
+    place[shuffle] = np.arange(len(kept))
+    kept, faces = kept[shuffle], generator.permutation(place[faces])
+    return RawCapture(noisy[kept], faces, np.clip(np.round(shade[kept]), 0, 255).astype(np.uint8), points[kept])
+
+
+def _sampled(
+    surface: SampledSurface, jitter: float, generator: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    corners = surface.faces[surface.pattern.faces]
+    weights = surface.pattern.jittered(jitter, generator)[..., None]
+    normals = vertex_normals(surface.vertices, surface.faces)
+    points, normals, colours = (
+        (weights * values[corners]).sum(1) for values in (surface.vertices, normals, surface.colours)
+    )
+    return points, normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9), colours
+
+
+def _joined(faces: list[np.ndarray], counts: list[int]) -> np.ndarray:
+    shifts = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    return np.concatenate([part + shift for part, shift in zip(faces, shifts, strict=True)]).astype(np.int64)
+
+
+def stereo_units(centre: Float[np.ndarray, "3"], options: ScannerOptions) -> list[tuple[Pinhole, Pinhole]]:
+    """The two cameras of every unit, looking at a centre."""
+    units = []
+    for azimuth, elevation in np.deg2rad(np.array(_UNITS)):
+        flat = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+        eye = centre + options.distance * (np.cos(elevation) * flat + np.sin(elevation) * np.array([0, 0, 1.0]))
+        side = 0.5 * options.baseline * np.array([-flat[1], flat[0], 0.0])
+        angle = 2 * np.arctan(0.17 / options.distance)
+        pair = [
+            Pinhole.look_at(eye + sign * side, centre, np.array([0, 0, 1.0]), angle, (options.pixels,) * 2)
+            for sign in (-1, 1)
+        ]
+        units.append((pair[0], pair[1]))
+    return units
+
+
+def _measured(
+    points: np.ndarray, normals: np.ndarray, scene: np.ndarray, faces: np.ndarray, hand: np.ndarray,
+    options: ScannerOptions,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """Line of sight and cosine of the unit that measures a point best; zero where no unit's cameras both see it."""
+    best, direction = np.zeros(len(points)), np.zeros_like(points)
+    limit = np.cos(np.deg2rad(options.steepest))
+    centre = (hand.min(0) + hand.max(0)) / 2
+    for pair in stereo_units(centre, options):
+        cosine = np.full(len(points), np.inf)
+        for camera in pair:
+            depth = rasterise(scene, faces, camera).depth
+            T = camera.T_camera_world
+            seen = kernels.seen_cosines(
+                points, normals, T[:3, :3].copy(), T[:3, 3].copy(), camera.lens, camera.eye, depth, _SHADOW
+            )
+            cosine = np.minimum(cosine, seen)
+        better = (cosine > best) & (cosine > limit)
+        away = (pair[0].eye + pair[1].eye) / 2 - points[better]
+        direction[better] = away / np.linalg.norm(away, axis=1, keepdims=True)
+        best[better] = cosine[better]
+    return direction, best
+
+
+def _noise(
+    triangles: np.ndarray, cosine: np.ndarray, seen: np.ndarray, rms: float, generator: np.random.Generator
+) -> np.ndarray:
+    """Larger where the surface is seen obliquely, a little alike in neighbours, of the root mean square asked for."""
+    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    size = len(cosine)
+    graph = sp.csr_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(size, size))
+    white = generator.normal(size=size)
+    degree = np.maximum(np.asarray(graph.sum(1)).ravel(), 1)
+    noise = (white + 0.7 * (graph @ white) / np.sqrt(degree)) / np.sqrt(np.maximum(cosine, 0.2))
+    return noise * rms / np.sqrt(np.mean(noise[seen] ** 2)) if seen.any() else noise
+
+
+def _ragged(triangles: np.ndarray, seen: np.ndarray, share: float, generator: np.random.Generator) -> np.ndarray:
+    """Points lost at the edge of holes."""
+    mixed = triangles[seen[triangles].any(1) & ~seen[triangles].all(1)]
+    edge = np.zeros(len(seen), dtype=bool)
+    edge[mixed] = True
+    return edge & (generator.random(len(seen)) < share)
+
+
+def _pieces(faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points and faces without small islands."""
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
+    graph = sp.coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(count, count))
+    _, piece = connected_components(graph, directed=False)
+    sizes = np.bincount(piece[faces[:, 0]], minlength=piece.max(initial=0) + 1)
+    kept = faces[sizes[piece[faces[:, 0]]] >= _FEW_FACES]
+    used, renumbered = np.unique(kept, return_inverse=True)
+    return used, renumbered.reshape(-1, 3).astype(np.int64)
