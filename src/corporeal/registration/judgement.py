@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,10 +16,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Status and the sentence that explains it."""
+    """Status, the sentence that explains it, and the signals behind it."""
 
     status: Status
     reason: str
+    signals: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -76,10 +77,10 @@ def verdict_of(signals: dict[str, float], bounds: Bounds) -> Verdict:
         elif value > soft:
             doubtful.append(words)
     if failed:
-        return Verdict("failed", "; ".join(failed))
+        return Verdict("failed", "; ".join(failed), signals)
     if doubtful:
-        return Verdict("doubtful", "; ".join(doubtful))
-    return Verdict("ok", "all signals within bounds")
+        return Verdict("doubtful", "; ".join(doubtful), signals)
+    return Verdict("ok", "all signals within bounds", signals)
 
 
 def _deepest(fitter: Fitter, vertices: np.ndarray) -> float:

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from corporeal.registration.gaussian_pose import GaussianPose
+
 
 @dataclass(frozen=True)
 class LandmarkStage:
@@ -113,6 +115,7 @@ class RegistrationOptions:
         shape_count: shape coefficients solved for (at most those that the model has).
         correctives: use the model's pose correctives.
         limit_sigma: standard deviation of a transgression of the anatomical limits, radians.
+        pose_prior: what is known of the pose that was asked for, in place of the model's own prior; or None.
         landmarks: the landmark stage.
         surface: surface stages, from wide to narrow.
         free: free-vertex stages, from wide to narrow.
@@ -121,6 +124,7 @@ class RegistrationOptions:
     shape_count: int = 30
     correctives: bool = True
     limit_sigma: float = 0.05
+    pose_prior: GaussianPose | None = None
     landmarks: LandmarkStage = field(default_factory=LandmarkStage)
     surface: tuple[SurfaceStage, ...] = (_WIDE, _MIDDLE, _NARROW)
     free: tuple[FreeStage, ...] = (_FREE_WIDE, _FREE_NARROW)

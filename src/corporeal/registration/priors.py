@@ -7,6 +7,7 @@ import numpy as np
 from corporeal.model.jacobian import ParameterColumns
 from corporeal.model.statistics import PoseBlock
 from corporeal.model.surface_model import SurfaceModel
+from corporeal.registration.gaussian_pose import GaussianPose
 from corporeal.solve.problem import Term
 from corporeal.terms.gaussian_prior import GaussianPrior
 from corporeal.terms.pose_limits import PoseLimits
@@ -25,14 +26,18 @@ def prior_terms(
     shape_sigma: float,
     pose_prior_scale: float,
     limit_sigma: float,
+    pose_prior: GaussianPose | None = None,
 ) -> list[Term]:
-    """Shape prior; per pose block its mixture, Gaussian or a weak pull to zero; limits."""
+    """Shape prior; per pose block the prior given, its mixture, Gaussian or a weak pull to zero; limits."""
     shape_size = columns.shape.stop - columns.shape.start
     mean = np.zeros(shape_size)
     terms: list[Term] = [GaussianPrior.isotropic("shape prior", columns.shape, mean, shape_sigma)]
     for block in model.pose_blocks:
         where = _columns_of(block, columns)
-        terms.append(_pose_prior(block, where, pose_prior_scale))
+        if pose_prior is None:
+            terms.append(_pose_prior(block, where, pose_prior_scale))
+        else:
+            terms.append(_given_prior(block, where, pose_prior.for_side(model.side), pose_prior_scale))
         if block.limits is not None:
             terms.append(PoseLimits(f"{block.name} limits", where, block.limits, limit_sigma))
     return terms
@@ -49,6 +54,15 @@ def _pose_prior(block: PoseBlock, where: slice, scale: float) -> Term:
         covariance = spread.T @ spread + _FLOOR**2 * np.eye(len(block.mean))
         return GaussianPrior(name, where, block.mean, np.linalg.inv(covariance) / scale**2)
     return GaussianPrior.isotropic(name, where, block.mean, scale * _UNKNOWN)
+
+
+def _given_prior(block: PoseBlock, where: slice, prior: GaussianPose, scale: float) -> Term:
+    """The block's share of a Gaussian over all joints after the root."""
+    own = (3 * (np.asarray(block.joints)[:, None] - 1) + np.arange(3)).ravel()
+    if own.max() >= len(prior.mean):
+        raise ValueError(f"pose_prior: {len(prior.mean)} numbers, too few for pose block {block.name!r}")
+    covariance = prior.covariance[np.ix_(own, own)] + _FLOOR**2 * np.eye(len(own))
+    return GaussianPrior(f"{block.name} prior", where, prior.mean[own], np.linalg.inv(covariance) / scale**2)
 
 
 def _columns_of(block: PoseBlock, columns: ParameterColumns) -> slice:

@@ -157,7 +157,10 @@ def _landmark_starts(
         np.array([evidence.sigmas.get(name, 1.0) for name in names]),
     )
     whole = Fitter(model, target, measured, options)
-    fits = [_landmark_fit(whole, pose) for pose in start_poses(model)]
+    poses = start_poses(model)
+    if options.pose_prior is not None:
+        poses.insert(0, options.pose_prior.for_side(model.side).pose)
+    fits = [_landmark_fit(whole, pose) for pose in poses]
     usable = [fit for fit in fits if fit[1].outcome.usable]
     if usable:
         fitter, solution = min(usable, key=lambda fit: fit[1].cost)
@@ -216,6 +219,7 @@ def _measured(
         model_distances=model_distances,
         status=verdict.status,
         reason=verdict.reason,
+        signals=verdict.signals,
         correctives=fitter.options.correctives,
         seconds=seconds,
     )

@@ -29,6 +29,7 @@ class Registration:
         landmarks: landmark name -> (3,) the fitted landmarks of the model's first set, metres.
         distances: scan to registration; ``model_distances``: scan to the fitted model alone.
         status: "ok", "doubtful" or "failed"; ``reason`` says why in a sentence.
+        signals: name -> what the verdict was measured by.
         correctives: whether pose correctives were used.
         seconds: stage name -> wall time.
     """
@@ -43,6 +44,7 @@ class Registration:
     model_distances: SurfaceDistances
     status: Status
     reason: str
+    signals: dict[str, float] = field(default_factory=dict)
     correctives: bool = True
     seconds: dict[str, float] = field(default_factory=dict)
 

@@ -124,6 +124,7 @@ class Fitter:
             shape_sigma=shape_sigma,
             pose_prior_scale=pose_prior_scale,
             limit_sigma=self.options.limit_sigma,
+            pose_prior=self.options.pose_prior,
         )
 
     def _landmark_terms(self, sigma: float, robust_scale: float) -> list[Term]:

@@ -4,15 +4,27 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from corporeal.atomic import write_bytes
-from corporeal.registration.session.records import RecordError, SessionRecord, decode_record, encode_record
+from corporeal.registration.gaussian_pose import GaussianPose
+from corporeal.registration.session.records import (
+    RecordError,
+    SessionRecord,
+    decode_record,
+    encode_record,
+    zipped,
+)
 
 MANIFEST = "manifest.json"
 ITEMS = "session.json"
 DECISIONS = "decisions.jsonl"
+PRIORS = "priors.npz"
 
 
 class SessionFolderError(ValueError):
@@ -96,6 +108,77 @@ def read_decisions(folder: Path | str) -> dict[str, str]:
     return decisions
 
 
+def write_priors(folder: Path | str, priors: Mapping[str, GaussianPose]) -> None:
+    """Write the pose priors of the second round: a resumed session must not learn them from its results."""
+    names = sorted(priors)
+    arrays = {"names": np.array(names, dtype=np.str_)}
+    for number, name in enumerate(names):
+        prior = priors[name]
+        arrays |= {f"mean_{number}": prior.mean, f"covariance_{number}": prior.covariance}
+        arrays[f"side_{number}"] = np.array(prior.side or "")
+    write_bytes(Path(folder) / PRIORS, zipped(arrays))
+
+
+def read_priors(folder: Path | str) -> dict[str, GaussianPose] | None:
+    """Protocol pose -> prior, or None before the second round.
+
+    Raises:
+        SessionFolderError: the file is damaged.
+    """
+    path = Path(folder) / PRIORS
+    if not path.exists():
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            return {
+                str(name): GaussianPose(
+                    archive[f"mean_{number}"],
+                    archive[f"covariance_{number}"],
+                    str(archive[f"side_{number}"]) or None,  # type: ignore[arg-type]
+                )
+                for number, name in enumerate(archive["names"])
+            }
+    except Exception as error:  # Damaged bytes make the zip and npy parsers raise nearly anything.
+        raise SessionFolderError(f"{path}: damaged ({error}); use --restart") from error
+
+
+def file_stamps(paths: Mapping[str, Path]) -> dict[str, list[int] | None]:
+    """Name -> [bytes, time of the last change in ns], or None for a file that is missing."""
+    stamps: dict[str, list[int] | None] = {}
+    for name, path in paths.items():
+        try:
+            status = path.stat()
+        except OSError:
+            stamps[name] = None
+        else:
+            stamps[name] = [status.st_size, status.st_mtime_ns]
+    return stamps
+
+
+def remove_results(folder: Path | str) -> list[str]:
+    """Clear a folder for a new start, the manifest last; decisions are put aside. Says what was kept."""
+    folder, kept = Path(folder), []
+    for path in record_folder(folder).glob("*.npz"):
+        path.unlink()
+    for name in (PRIORS, ITEMS, MANIFEST):
+        (folder / name).unlink(missing_ok=True)
+    decisions = folder / DECISIONS
+    if decisions.exists():
+        number = 1
+        while (aside := folder / f"decisions-{number}.jsonl").exists():
+            number += 1
+        os.replace(decisions, aside)
+        kept.append(f"{decisions.name} speaks of the old results: kept as {aside.name}")
+    return kept
+
+
+def remove_leftovers(folder: Path | str) -> None:
+    """Drop the temporary files of a process that was killed while it wrote."""
+    for where in (Path(folder), record_folder(folder)):
+        for path in where.glob(".*.tmp"):
+            path.unlink(missing_ok=True)
+
+
 def write_json_file(path: Path, content: Any) -> None:
     """Write JSON whole or not at all; the same content gives the same bytes."""
     write_bytes(path, (json.dumps(content, indent=2, sort_keys=True, allow_nan=False) + "\n").encode())
@@ -118,10 +201,10 @@ def read_json_file(path: Path) -> dict[str, Any] | None:
     return content
 
 
-def sha256_of(path: Path) -> str | None:
+def sha256_of(path: Path | str) -> str | None:
     """Hash of a file's content, or None where it cannot be read."""
     try:
-        with path.open("rb") as file:
+        with open(path, "rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError:
         return None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -57,9 +58,10 @@ def encode_record(record: SessionRecord) -> bytes:
     """A record as an ``.npz`` of about 20 kB; the same record gives the same bytes.
 
     Vertices are rounded to steps of 10 micrometres from their least coordinates: 16 bits where they fit (up
-    to 0.65 m), else 32. Pose and shape are rounded to float32.
+    to 0.65 m), else 32. Pose and shape are rounded to float32. Numbers of the row that are not finite become
+    null.
     """
-    row = json.dumps(record.row, sort_keys=True, allow_nan=False).encode()
+    row = json.dumps(finite(record.row), sort_keys=True, allow_nan=False).encode()
     arrays = {"row": np.frombuffer(row, np.uint8)}
     if record.vertices is not None:
         if record.pose is None or record.shape is None or record.translation is None:
@@ -76,7 +78,7 @@ def encode_record(record: SessionRecord) -> bytes:
             "translation": record.translation.astype(np.float64),
             "side": np.array(record.side or ""),
         }
-    return _zipped(arrays)
+    return zipped(arrays)
 
 
 def decode_record(content: bytes, source: str) -> SessionRecord:
@@ -124,7 +126,18 @@ def _of_arrays(arrays: Mapping[str, np.ndarray]) -> SessionRecord:
     )
 
 
-def _zipped(arrays: Mapping[str, np.ndarray]) -> bytes:
+def finite(value: Any) -> Any:
+    """The same with null for numbers that are not finite, which JSON cannot say."""
+    if isinstance(value, Mapping):
+        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def zipped(arrays: Mapping[str, np.ndarray]) -> bytes:
     """``np.savez`` stamps the time on every entry; the same arrays must give the same bytes."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
