@@ -22,7 +22,7 @@ from corporeal.atomic import write_bytes
 from corporeal.cli.errors import CommandError
 from corporeal.cli.files import check_result, write_json, write_result
 from corporeal.export.meshes import write_ply
-from corporeal.scans.simulation.faults import spoil_file
+from corporeal.scans.simulation.faults import spoiled_bytes
 from corporeal.scans.simulation.simulate import (
     PlannedScan,
     ScanTruth,
@@ -137,7 +137,7 @@ def make_scans(folder: Path, options: SimulationOptions, scans: list[PlannedScan
         made = simulate_scan(planned, options)
         path = folder / "scans" / f"{planned.name}.ply"
         write_ply(path, made.points_mm.astype(np.float32), made.faces, colours=made.colours)
-        spoil_file(path, planned.fault)
+        write_bytes(path, spoiled_bytes(path.read_bytes(), planned.fault))
         _write_truth(_truth_file(folder, planned), made.truth)
     return len(scans)
 

@@ -12,22 +12,24 @@ from corporeal.scans.simulation.scanner import SampledSurface
 _GREY = np.array([120.0, 120.0, 124.0])
 _GREEN = np.array([70.0, 190.0, 60.0])
 _SPACING = 1.3e-3
+_HAND = 1
 
 
 def hand_stand(elbow: Float[np.ndarray, "3"], wrist: Float[np.ndarray, "3"]) -> SampledSurface:
-    """A grey post behind the lower forearm that the arm leans on.
+    """A grey block that the lower forearm leans against.
 
     Args:
-        elbow: lower end of the arm's axis, metres, in the scanner's frame (fingers up, +z).
-        wrist: its upper end.
+        elbow: the forearm's axis begins here, metres, in the scanner's frame (fingers up, +z).
+        wrist: and ends here.
     """
     along = wrist - elbow
     along /= np.linalg.norm(along)
     side = np.cross(along, [0.0, 1.0, 0.0])
     side /= np.linalg.norm(side)
-    # 12 mm of the post stand above where the scanned arm begins.
-    centre = elbow + 0.105 * along + 0.055 * side
-    return _box(centre, np.column_stack([side, np.cross(along, side), along]), np.array([0.02, 0.05, 0.045]), _GREY)
+    # It reaches 2 cm above the place where the scanned arm begins.
+    centre = wrist - 0.125 * along + 0.05 * side
+    turn = np.column_stack([side, np.cross(along, side), along])
+    return _box(centre, turn, np.array([0.012, 0.03, 0.025]), _GREY)
 
 
 def held_object(
@@ -43,7 +45,7 @@ def held_object(
     knuckles, tips = joints[[2, 5, 8, 11]].mean(0), joints[[4, 7, 10, 13]].mean(0)
     across = joints[2] - joints[8]
     across /= np.linalg.norm(across)
-    centre = (knuckles + tips + joints[15] + joints[HAND_BONE]) / 4
+    centre = (knuckles + tips + joints[15] + joints[_HAND]) / 4
     room = float(np.linalg.norm(posed - centre, axis=1).min())
     if room < 6e-3:
         return None
@@ -54,9 +56,6 @@ def held_object(
     # Along the knuckles a bar may be longer than the room is wide.
     half = np.array([0.06, 0.7 * room, 0.7 * room]) if kind == 1 else np.full(3, 0.62 * room)
     return _box(centre, turn, half, _GREEN)
-
-
-HAND_BONE = 1
 
 
 def _others(direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -33,8 +33,12 @@ class SamplingPattern:
     def jittered(self, amount: float, generator: np.random.Generator) -> Float[np.ndarray, "n 3"]:
         """Barycentric weights moved at random within the faces, so that no two scans have the same points."""
         moved = self.barycentric + amount * generator.normal(size=self.barycentric.shape)
-        moved = np.clip(moved, 0, None)
-        return moved / np.maximum(moved.sum(1, keepdims=True), 1e-9)
+        moved = np.clip(moved, 1e-6, None)
+        return moved / moved.sum(1, keepdims=True)
+
+    def mirrored(self) -> SamplingPattern:
+        """The pattern of the mirror image, whose faces list their corners as 0, 2, 1."""
+        return SamplingPattern(self.faces, self.barycentric[:, [0, 2, 1]], self.triangles[:, [0, 2, 1]])
 
 
 def sampling_pattern(

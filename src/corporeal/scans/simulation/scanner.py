@@ -11,7 +11,7 @@ from jaxtyping import Float, Int, UInt8
 from scipy.sparse.csgraph import connected_components
 
 from corporeal.geometry.cameras import Pinhole
-from corporeal.geometry.normals import vertex_normals
+from corporeal.geometry.normals import face_vectors, vertex_normals
 from corporeal.geometry.rasteriser import rasterise
 from corporeal.scans.simulation import scanner_kernels as kernels
 from corporeal.scans.simulation.sampling_pattern import SamplingPattern
@@ -51,7 +51,7 @@ class ScannerOptions:
     baseline: float = 0.16
     steepest: float = 72.0
     pixels: int = 520
-    jitter: float = 0.25
+    jitter: float = 0.08
     ragged: float = 0.35
 
 
@@ -92,7 +92,10 @@ def scan_surface(
     noisy = points + direction * _noise(triangles, cosine, seen, options.noise, generator)[:, None]
     light = 0.55 + 0.45 * np.clip(normals @ np.array([0.2, 0.35, 0.9]), -0.6, 1)
     shade = colours * light[:, None] + 2.5 * generator.normal(size=colours.shape)
-    kept, faces = _pieces(triangles[seen[triangles].all(axis=1)], len(points))
+    whole = triangles[seen[triangles].all(axis=1)]
+    # A triangle that the moved points turned over is none that a scanner makes.
+    facing = np.einsum("ma,ma->m", face_vectors(points, whole), normals[whole].sum(1)) > 0
+    kept, faces = _pieces(whole[facing], len(points))
     # Places in the list must not tell where on the hand a point lies.
     shuffle = generator.permutation(len(kept))
     place = np.empty(len(kept), dtype=np.int64)

@@ -11,19 +11,22 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from scipy.spatial.transform import Rotation
 
+from corporeal.geometry.normals import vertex_normals
 from corporeal.geometry.subdivision import LoopStep, loop_step
 from corporeal.scans.simulation.appearance import skin_colours
-from corporeal.scans.simulation.faults import choose_fault, spoil
+from corporeal.scans.simulation.faults import Fault, choose_fault, spoil
 from corporeal.scans.simulation.files import HandSimulator, load_simulator
 from corporeal.scans.simulation.hand_flesh import HAND, SoftHand
 from corporeal.scans.simulation.identities import Side, Subject, hand_at_rest, sample_subjects
-from corporeal.scans.simulation.objects import green_object
-from corporeal.scans.simulation.props import hand_stand
+from corporeal.scans.simulation.props import hand_stand, held_object
 from corporeal.scans.simulation.protocol import HandPose, natural_pose, performed, protocol_poses, subset_for
-from corporeal.scans.simulation.scanner import PosedSurface, Prop, RawCapture, ScannerOptions, scan_surface
+from corporeal.scans.simulation.sampling_pattern import SamplingPattern, sampling_pattern
+from corporeal.scans.simulation.scanner import SampledSurface, ScannerOptions, scan_surface
 
 NATURAL_SHARE = 0.15
 _MM = 1e3
+# Points on the whole skin; a scan sees some five sixths of them.
+_POINTS = 50_000
 # How the arm lies in the scanner: fingers up, then turned at will within these degrees.
 _UPRIGHT = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
 _TURN_ABOUT_ARM, _TILT = 60.0, 20.0
@@ -58,7 +61,7 @@ class PlannedScan:
     subject: int
     side: Side
     protocol_pose: str
-    fault: str
+    fault: Fault
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,13 +131,17 @@ def simulate_scan(planned: PlannedScan, options: SimulationOptions) -> Simulated
     surface, rest = fine(posed.surface), fine(hand.rest_surface)
     joints = np.einsum("kab,kb->ka", posed.motions[:, :3, :3], hand.joints[:17]) + posed.motions[:, :3, 3]
     T_scanner_hand = _placement(joints[HAND], planned.side, generator)
-    faces = fine.faces if planned.side == "right" else fine.faces[:, ::-1]
+    left = planned.side == "left"
+    faces = fine.faces[:, [0, 2, 1]] if left else fine.faces
     surface, joints = _moved(surface, T_scanner_hand), _moved(joints, T_scanner_hand)
-    colours = skin_colours(rest, person.tone, generator)
-    props = [hand_stand(joints, generator)]
-    if options.objects:
-        props += green_object(pose.name, surface, joints, generator)
-    capture = scan_surface(PosedSurface(surface, faces, colours), props, ScannerOptions(), generator)
+    colours = skin_colours(rest, vertex_normals(rest, fine.faces), person.tone, person.seed)
+    pattern = _pattern(options.seed)
+    props = [hand_stand(joints[0], joints[HAND])]
+    if options.objects and pose.group == "grasp":
+        held = held_object(surface, joints, generator)
+        props += [] if held is None else [held]
+    hand_surface = SampledSurface(surface, faces, colours, pattern.mirrored() if left else pattern)
+    capture = scan_surface(hand_surface, props, ScannerOptions(), generator)
     capture = spoil(capture, planned.fault, generator)
     corners = surface[fine.faces[simulator.template_faces]]
     rest_angles = simulator.rest_angles
@@ -169,6 +176,15 @@ def _hand_of(count: int, seed: int, number: int, side: Side) -> tuple[Subject, S
 @lru_cache(maxsize=1)
 def _fine(simulator: HandSimulator) -> LoopStep:
     return loop_step(simulator.surface_faces, len(simulator.surface_vertices))
+
+
+@lru_cache(maxsize=1)
+def _pattern(seed: int) -> SamplingPattern:
+    """Where points fall on the skin; each scan moves them and shuffles their order."""
+    simulator = load_simulator()
+    fine = _fine(simulator)
+    generator = np.random.default_rng([seed, 5])
+    return sampling_pattern(fine(simulator.surface_vertices), fine.faces, _POINTS, generator)
 
 
 def _placement(wrist: np.ndarray, side: Side, generator: np.random.Generator) -> Float[np.ndarray, "4 4"]:
