@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from corporeal.geometry.cameras import Pinhole
-from corporeal.geometry.rasteriser import rasterise, shade, splat
+from corporeal.geometry.rasteriser import flat_picture, rasterise, shade, splat
 
 
 def pixel_camera(width: int = 8, height: int = 6) -> Pinhole:
@@ -171,3 +171,21 @@ def test_smooth_normals_are_used():
     tilted = np.tile([0.0, np.sin(1.0), -np.cos(1.0)], (3, 1))
     picture = shade(raster, vertices, faces, normals=tilted, colours=(1.0, 1.0, 1.0))
     assert picture[1, 1, 0] == round(255 * (0.25 + 0.75 * np.cos(1.0)))
+
+
+def test_the_fast_flat_picture_is_the_one_of_the_two_steps(rng):
+    vertices = rng.uniform([-1, -1, 2], [1, 1, 5], size=(60, 3))
+    faces = rng.integers(0, 60, size=(80, 3))
+    camera = Pinhole.fit_to_frame(
+        vertices, np.array([0.1, 0.2, 1.0]), np.array([0, 1.0, 0]), fov=0.8, size=(90, 70), fill=1.0
+    )
+    colours = {"background": (0.1, 0.5, 1.0)}
+    two = shade(rasterise(vertices, faces, camera), vertices, faces, None, (0.9, 0.4, 0.2), **colours)
+    one = flat_picture(vertices, faces, camera, (0.9, 0.4, 0.2), **colours)
+    assert len(np.unique(one.reshape(-1, 3), axis=0)) > 5
+    # A rounding of the last bit may fall to either side.
+    assert np.abs(one.astype(int) - two.astype(int)).max() <= 1
+    with pytest.raises(ValueError, match="faces"):
+        flat_picture(vertices, np.array([[0, 1, 60]]), camera)
+    with pytest.raises(ValueError, match="near"):
+        flat_picture(vertices, faces, camera, near=0.0)

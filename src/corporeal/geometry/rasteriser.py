@@ -165,6 +165,35 @@ def shade(
     return (np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8)
 
 
+def flat_picture(
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    camera: Pinhole,
+    colour: tuple[float, float, float] = GREY,
+    background: tuple[float, float, float] = WHITE,
+    near: float = 1e-3,
+) -> UInt8[np.ndarray, "H W 3"]:
+    """A mesh in one colour with flat faces, lit from the camera.
+
+    The same picture as ``shade(rasterise(...))`` with its defaults, in a fifth of the time: a detector is
+    shown dozens of them per scan. Arguments and errors as there.
+    """
+    _check_near(near)
+    if faces.size and (faces.min() < 0 or faces.max() >= len(vertices)):
+        raise ValueError(f"faces: indices must lie in 0..{len(vertices) - 1}")
+    local = np.ascontiguousarray(camera.to_camera(np.asarray(vertices, np.float64)))
+    depth, face = _blank(camera)
+    size = np.array([camera.width, camera.height])
+    edges, boxes = kernels.triangle_setup(local, np.ascontiguousarray(faces), camera.lens, size, near)
+    kernels.fill_triangles(edges, boxes, camera.lens, near, depth, face, numba.get_num_threads())
+    # The sum of a triangle's edge functions is its normal.
+    normals = edges[:, 0:3] + edges[:, 3:6] + edges[:, 6:9]
+    picture = np.empty((*face.shape, 3), np.uint8)
+    picture[:] = (np.clip(background, 0, 1) * 255 + 0.5).astype(np.uint8)
+    kernels.headlight(face, normals, camera.lens, 255 * np.asarray(colour, np.float64), picture)
+    return picture
+
+
 def _blank(camera: Pinhole) -> tuple[np.ndarray, np.ndarray]:
     shape = (camera.height, camera.width)
     return np.full(shape, np.inf), np.full(shape, -1, np.int32)

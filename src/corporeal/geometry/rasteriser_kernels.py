@@ -8,11 +8,8 @@ from numba import njit, prange
 
 
 @njit(cache=True)
-def _grow_box(box, x, y):
-    box[0] = min(box[0], x)
-    box[1] = max(box[1], x)
-    box[2] = min(box[2], y)
-    box[3] = max(box[3], y)
+def _grown(box, x, y):
+    return min(box[0], x), max(box[1], x), min(box[2], y), max(box[3], y)
 
 
 @njit(cache=True)
@@ -45,14 +42,16 @@ def triangle_setup(vertices, faces, lens, size, near):
         edges[f, 9] = volume
         if volume == 0.0 or not np.isfinite(volume):
             continue
-        box = np.array([np.inf, -np.inf, np.inf, -np.inf])
+        # A tuple: an array here would be allocated for every face, which was half of this kernel's time.
+        box = (np.inf, -np.inf, np.inf, -np.inf)
         for k in range(3):
             p, q = vertices[faces[f, k]], vertices[faces[f, (k + 1) % 3]]
             if p[2] >= near:
-                _grow_box(box, p[0] / p[2], p[1] / p[2])
+                box = _grown(box, p[0] / p[2], p[1] / p[2])
             if (p[2] >= near) != (q[2] >= near):
                 t = (near - p[2]) / (q[2] - p[2])
-                _grow_box(box, (p[0] + t * (q[0] - p[0])) / near, (p[1] + t * (q[1] - p[1])) / near)
+                x, y = p[0] + t * (q[0] - p[0]), p[1] + t * (q[1] - p[1])
+                box = _grown(box, x / near, y / near)
         if box[0] > box[1]:
             continue
         first, last = _pixel_range(box[0] * lens[0] + lens[2], box[1] * lens[0] + lens[2], size[0])
@@ -113,6 +112,27 @@ def barycentric_weights(edges, face, lens, weights):
                 total += value
             for k in range(3):
                 weights[y, x, k] /= total
+
+
+@njit(cache=True, parallel=True)
+def headlight(face, normals, lens, tint, picture):
+    """Lambert shading of flat faces, lit from the camera, over what ``picture`` holds where nothing is seen.
+
+    ``normals`` are the faces' in the camera's frame, of any length; colours are 0..255.
+    """
+    for y in prange(face.shape[0]):
+        ry = (y + 0.5 - lens[3]) / lens[1]
+        for x in range(face.shape[1]):
+            f = face[y, x]
+            if f < 0:
+                continue
+            rx = (x + 0.5 - lens[2]) / lens[0]
+            nx, ny, nz = normals[f, 0], normals[f, 1], normals[f, 2]
+            squared = (nx * nx + ny * ny + nz * nz) * (rx * rx + ry * ry + 1.0)
+            cosine = abs(nx * rx + ny * ry + nz) / np.sqrt(squared) if squared > 0.0 else 0.0
+            brightness = 0.25 + 0.75 * min(cosine, 1.0)
+            for k in range(3):
+                picture[y, x, k] = np.uint8(min(brightness * tint[k], 255.0) + 0.5)
 
 
 @njit(cache=True)
