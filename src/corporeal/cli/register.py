@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 import traceback
 from collections import Counter
@@ -15,13 +16,15 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from corporeal.cli.errors import CommandError
 from corporeal.cli.files import check_result, write_json, write_result
-from corporeal.cli.registration_outputs import registration_row, remove_outputs, scale_notes, write_outputs
+from corporeal.cli.registration_outputs import remove_outputs, write_outputs
+from corporeal.cli.session import SessionCall, run_session
 from corporeal.model.files import ModelFileError, load_model, open_model
 from corporeal.model.surface_model import SurfaceModel
 from corporeal.registration.evidence import LandmarkFinder
 from corporeal.registration.options import RegistrationOptions
 from corporeal.registration.register import register
 from corporeal.registration.registration import FailedRegistration
+from corporeal.registration.rows import failed_row, registered_row
 from corporeal.scans.files import ScanFileError, read_scan
 from corporeal.scans.scan import Scan
 from corporeal.scans.segmentation import remove_object
@@ -32,8 +35,8 @@ class Register:
     """Register raw hand scans: no landmarks to place, no options needed.
 
     Attributes:
-        scans: scan files (PLY, OBJ, STL, OFF, GLB); meshes or point clouds.
-        output: folder that gets one folder of results per scan.
+        scans: scan files (PLY, OBJ, STL, OFF, GLB), meshes or point clouds; or the folder of a session.
+        output: folder that gets one folder of results per scan, or the records of a session.
         model: "hand" for the open hand in the box, or a model file.
         side: which hand it is; auto finds out.
         unit: unit of the files; auto guesses from the size, free estimates the scale of photographed scans.
@@ -41,6 +44,11 @@ class Register:
         correctives: use the model's pose correctives.
         green_objects: drop points painted green (G > max(R, 20)), as objects were in MANO's captures.
         json: also write the machine-readable result to this file.
+        workers: processes for a session; as many as there are cores if not given.
+        rounds: 2 registers a session again with the pose priors that its first round taught.
+        dask: register a session on dask.distributed: a scheduler's address, or local.
+        restart: throw away what the output folder holds of a session, and begin anew.
+        outputs: write GLB, PLYs and a picture for every scan of a session too.
     """
 
     scans: tyro.conf.Positional[tuple[Path, ...]]
@@ -52,12 +60,19 @@ class Register:
     correctives: bool = True
     green_objects: bool = False
     json: Path | None = None
+    workers: int | None = None
+    rounds: Literal[1, 2] = 1
+    dask: str | None = None
+    restart: bool = False
+    outputs: bool = False
 
 
 def run(config: Register) -> int:
     """Register every scan; one bad scan costs one row."""
     _check_call(config)
     model = _model(config.model)
+    if config.scans[0].is_dir():
+        return run_session(_session_call(config), model)
     console = Console(stderr=True)
     items: list[dict[str, Any]] = []
     columns = (
@@ -110,19 +125,18 @@ def _one(
         )  # fmt: skip
         seconds["fit"] = time.perf_counter() - marked
         if isinstance(result, FailedRegistration):
-            row = registration_row(path, None, result.reason, seconds, notes)
+            row = failed_row(str(path), result.reason, seconds, notes)
         else:
             on_step(f"{path.name}: writing")
-            notes = [*result.scan.repairs, *notes, *scale_notes(result.scan)]
-            row = registration_row(path, result, result.reason, seconds, notes)
+            row = registered_row(str(path), result, seconds, notes)
             row["outputs"] = write_outputs(result, folder, row)
     except (ScanFileError, ScanContentError, OSError) as error:
-        row = registration_row(path, None, str(error), seconds, [])
+        row = failed_row(str(path), str(error), seconds, [])
     except Exception as error:
         # One scan must never cost the others; a fault of ours is reported as one, with its place.
         place = traceback.extract_tb(error.__traceback__)[-1]
         reason = f"internal error, please report it: {error!r} in {Path(place.filename).name}:{place.lineno}"
-        row = registration_row(path, None, reason, seconds, [])
+        row = failed_row(str(path), reason, seconds, [])
     row["seconds"]["total"] = time.perf_counter() - begun
     try:
         write_json(folder / "report.json", row)
@@ -149,9 +163,41 @@ def _finder(model: SurfaceModel, landmarks: Path | None) -> LandmarkFinder:
         raise CommandError(f"--landmarks: {error}", 2) from error
 
 
+def _session_call(config: Register) -> SessionCall:
+    return SessionCall(
+        folder=config.scans[0],
+        output=config.output,
+        workers=(os.cpu_count() or 1) if config.workers is None else config.workers,
+        rounds=config.rounds,
+        dask=config.dask,
+        restart=config.restart,
+        outputs=config.outputs,
+        side=None if config.side == "auto" else config.side,
+        unit=config.unit,
+        correctives=config.correctives,
+        green_objects=config.green_objects,
+        json=config.json,
+    )
+
+
 def _check_call(config: Register) -> None:
     if not config.scans:
         raise CommandError("register: name at least one scan file", 2)
+    folders = [path for path in config.scans if path.is_dir()]
+    if folders and len(config.scans) > 1:
+        raise CommandError(f"register: {folders[0]} is a folder; give one session, or scan files", 2)
+    if folders and config.landmarks is not None:
+        raise CommandError("register: --landmarks goes with one scan, not with a session", 2)
+    for_sessions = {
+        "--workers": config.workers is not None,
+        "--rounds": config.rounds != 1,
+        "--dask": config.dask is not None,
+        "--restart": config.restart,
+        "--outputs": config.outputs,
+    }
+    given = [name for name, is_given in for_sessions.items() if is_given]
+    if given and not folders:
+        raise CommandError(f"register: {given[0]} goes with the folder of a session, not with scan files", 2)
     stems = Counter(path.stem for path in config.scans)
     twice = [stem for stem, count in stems.items() if count > 1]
     if twice:

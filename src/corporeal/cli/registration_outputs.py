@@ -13,7 +13,6 @@ from corporeal.export.meshes import write_ply
 from corporeal.export.overview import Overview, write_overview
 from corporeal.registration.files import save_registration
 from corporeal.registration.registration import Registration
-from corporeal.scans.scan import Scan
 
 _OUTPUTS = ("registration.npz", "registration.ply", "model.ply", "hand.glb", "overview.png")
 
@@ -22,40 +21,6 @@ def remove_outputs(folder: Path) -> None:
     """Drop what an earlier run left: a scan that fails now must not show an old result beside its report."""
     for name in _OUTPUTS:
         (folder / name).unlink(missing_ok=True)
-
-
-def registration_row(
-    path: Path, result: Registration | None, reason: str, seconds: dict[str, float], notes: list[str]
-) -> dict[str, Any]:
-    """The machine-readable row of one scan; without a result it has failed."""
-    row: dict[str, Any] = {
-        "scan": str(path),
-        "status": "failed" if result is None else result.status,
-        "reason": reason,
-        "side": None if result is None else result.side,
-        "unit": None if result is None else result.scan.unit.name,
-        "metres_per_unit": None if result is None else result.scan.unit.metres_per_unit,
-        "seconds": {"total": 0.0, **seconds},
-        "s2m_mm": None if result is None else result.distances.summary_mm(),
-        "model_s2m_mm": None if result is None else result.model_distances.summary_mm(),
-        "excluded": "points before the wrist plane, and points within 1 mm of the open boundary",
-        "notes": notes,
-        "outputs": {},
-    }
-    if result is not None:
-        row["seconds"] |= {f"fit: {name}": value for name, value in result.seconds.items()}
-    return row
-
-
-def scale_notes(scan: Scan) -> list[str]:
-    """What to say of a scan without a unit."""
-    if scan.unit.name != "free":
-        return []
-    millimetres = 1e3 * scan.unit.metres_per_unit
-    return [
-        f"the file has no unit: one is taken as {millimetres:.4g} mm, so that the hand is as large as an "
-        "average adult's; the PLYs keep the file's own unit"
-    ]
 
 
 def write_outputs(result: Registration, folder: Path, row: dict[str, Any]) -> dict[str, str]:

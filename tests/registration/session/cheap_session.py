@@ -1,9 +1,10 @@
 """A session whose scans cost next to nothing, run as a program of its own so that it can be killed.
 
-    python cheap_session.py SESSION REG WORKERS [local-pool|dask] [ROUNDS] [MILLISECONDS]
+    python cheap_session.py SESSION REG WORKERS [local-pool|dask] [ROUNDS] [MILLISECONDS] [LONGEST]
 
-A scan's file decides what happens: "kill" ends the worker at every try, "kill-once PATH" only where PATH does not
-exist yet, "hang" never ends; the registration of any other is a cloud of points made from its content.
+A scan's file decides what happens: "kill" ends the worker at every try, "kill-once PATH" only where PATH
+does not exist yet, "hang" never ends; the registration of any other is a cloud of points made from its
+content.
 """
 
 import hashlib
@@ -11,7 +12,7 @@ import os
 import signal
 import sys
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -74,9 +75,9 @@ class Speaker(Watcher):
         print("done:", row["name"], flush=True)
 
 
-def main(session, folder, workers="2", where="local-pool", rounds="1", pause="0"):
+def main(session, folder, workers="2", where="local-pool", rounds="1", pause="0", longest="60"):
     if where == "local-pool":
-        execute = partial(run_local, workers=int(workers))
+        execute = partial(run_local, workers=int(workers), longest=float(longest))
     else:
         from corporeal.registration.session.cluster import run_dask
 
@@ -91,7 +92,7 @@ def main(session, folder, workers="2", where="local-pool", rounds="1", pause="0"
         watcher=Speaker(),
     )
     try:
-        register_session(replace(plan))
+        register_session(plan)
     except (SessionFolderError, WorkerError) as error:
         print("error:", error)
         return 2

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, runtime_checkable
 
 from corporeal.registration.gaussian_pose import GaussianPose
 from corporeal.registration.rows import failed_row
@@ -50,6 +50,7 @@ class ScanJob:
         }
 
 
+@runtime_checkable
 class Worker(Protocol):
     """Registers scans one after the other; made once per process."""
 
@@ -60,6 +61,7 @@ class Worker(Protocol):
         """Let go of the detector."""
 
 
+@runtime_checkable
 class WorkerSetup(Protocol):
     """All that a worker needs, picklable: sent once to every process."""
 

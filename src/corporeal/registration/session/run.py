@@ -95,6 +95,7 @@ def register_session(plan: SessionPlan) -> list[dict[str, Any]]:
 def _prepared(plan: SessionPlan) -> dict[str, SessionRecord]:
     """Check and write the manifest; returns the records that still hold."""
     folder, watcher = plan.folder, plan.watcher
+    folder.mkdir(parents=True, exist_ok=True)
     if plan.restart:
         for sentence in files.remove_results(folder):
             watcher.note(sentence)
