@@ -148,7 +148,7 @@ class SoftHand:
 _PART_OF_BONE = np.concatenate([[0, 0], np.repeat(np.arange(1, 6), 3)])
 _HINGES = tuple(range(2, 17))
 _PALM_ENDS = (2, 5, 8, 11)
-_TRIES, _RELAXED, _DEEPEST = 4, 0.85, 1e-3
+_TRIES, _RELAXED, _DEEPEST = 5, 0.9, 1e-3
 
 
 def bone_segments(

@@ -23,7 +23,7 @@ _FIST: Bend = (80, 95, 55)
 # Flexion, spread and twist of the thumb's first bone, then flexion of the other two.
 Thumb = tuple[float, float, float, float, float]
 _THUMB_REST: Thumb = (8, 0, 0, 5, 5)
-_THUMB_OVER: Thumb = (38, 8, 18, 28, 38)
+_THUMB_OVER: Thumb = (35, -30, 0, 40, 50)
 _LIMITS_LOW = np.array([-25.0, -22, -35])
 _LIMITS_HIGH = np.array([108.0, 25, 35])
 # How much two performances of one pose differ: degrees shared by the hand, by a finger, and of each joint.
@@ -75,9 +75,9 @@ def _exploration() -> dict[str, Float[np.ndarray, "17 3"]]:
         "middle-bent": _pose({"m": (55, 70, 40), "r": (12, 14, 6)}),
         "ring-bent": _pose({"r": (52, 65, 38), "l": (22, 24, 10), "m": (12, 12, 5)}),
         "little-bent": _pose({"l": (55, 65, 40), "r": (18, 20, 8)}),
-        "index-points": _pose({"mrl": _FIST}, (36, 6, 18, 25, 32)),
-        "two-fingers": _pose({"rl": _FIST}, (40, 8, 20, 26, 30), spread={"i": 8, "m": -6}),
-        "horns": _pose({"mr": _FIST}, (34, 6, 18, 22, 26), spread={"i": 4, "l": -8}),
+        "index-points": _pose({"mrl": _FIST}, (33, -24, 4, 36, 46)),
+        "two-fingers": _pose({"rl": _FIST}, (33, -24, 4, 36, 46), spread={"i": 8, "m": -6}),
+        "horns": _pose({"mr": _FIST}, (33, -24, 4, 36, 46), spread={"i": 4, "l": -8}),
         "thumb-in": _pose(thumb=(44, 2, 14, 30, 45)),
         "thumb-up": _pose(rest=(78, 92, 50), thumb=(-16, 6, 0, -6, -14)),
         "oppose-index": _pose({"i": (46, 46, 24), "mrl": (22, 24, 12)}, (31, 12, 16, 14, 22)),
