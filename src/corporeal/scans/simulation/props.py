@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 from corporeal.scans.simulation.sampling_pattern import SamplingPattern
 from corporeal.scans.simulation.scanner import SampledSurface
 
-_GREY = np.array([120.0, 120.0, 124.0])
+# Warm enough that noise never makes it count as a green object.
+_GREY = np.array([140.0, 120.0, 112.0])
 _GREEN = np.array([70.0, 190.0, 60.0])
 _SPACING = 1.3e-3
 _HAND = 1

@@ -31,10 +31,13 @@ class SamplingPattern:
     triangles: Int[np.ndarray, "m 3"]
 
     def jittered(self, amount: float, generator: np.random.Generator) -> Float[np.ndarray, "n 3"]:
-        """Barycentric weights moved at random within the faces, so that no two scans have the same points."""
-        moved = self.barycentric + amount * generator.normal(size=self.barycentric.shape)
-        moved = np.clip(moved, 1e-6, None)
-        return moved / moved.sum(1, keepdims=True)
+        """Barycentric weights moved at random within the faces, so that no two scans have the same points.
+
+        Every point goes ``amount`` (0..1) of the way to a random point of its face. Noise added to the weights and
+        clipped was refused: it left 1 % of the points on vertices of the surface, whose places none may know.
+        """
+        target = generator.dirichlet(np.ones(3), size=len(self.faces))
+        return self.barycentric + amount * (target - self.barycentric)
 
     def mirrored(self) -> SamplingPattern:
         """The pattern of the mirror image, whose faces list their corners as 0, 2, 1."""

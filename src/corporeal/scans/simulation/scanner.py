@@ -17,6 +17,7 @@ from corporeal.scans.simulation import scanner_kernels as kernels
 from corporeal.scans.simulation.sampling_pattern import SamplingPattern
 
 _SHADOW = 0.6e-3  # metres behind the nearest surface at which a point counts as hidden
+_BRIGHTNESS_NOISE, _COLOUR_NOISE = 2.5, 0.8  # of 255
 _FEW_FACES = 40  # smaller islands are dropped, as the makers' software does
 
 
@@ -42,7 +43,7 @@ class ScannerOptions:
         distance: of the units from the hand, metres; ``baseline`` between a unit's two cameras.
         steepest: degrees between normal and line of sight beyond which stereo finds nothing.
         pixels: of a camera's picture, either way.
-        jitter: how far points move within their faces, as a share of the face.
+        jitter: how far points move within their faces, as a share of the way to a random point of the face.
         ragged: share of the points at the edge of a hole that are lost too.
     """
 
@@ -51,7 +52,7 @@ class ScannerOptions:
     baseline: float = 0.16
     steepest: float = 72.0
     pixels: int = 520
-    jitter: float = 0.08
+    jitter: float = 0.2
     ragged: float = 0.35
 
 
@@ -91,7 +92,7 @@ def scan_surface(
     seen &= ~_ragged(triangles, seen, options.ragged, generator)
     noisy = points + direction * _noise(triangles, cosine, seen, options.noise, generator)[:, None]
     light = 0.55 + 0.45 * np.clip(normals @ np.array([0.2, 0.35, 0.9]), -0.6, 1)
-    shade = colours * light[:, None] + 2.5 * generator.normal(size=colours.shape)
+    shade = colours * light[:, None] + _sensor_noise(len(colours), generator)
     whole = triangles[seen[triangles].all(axis=1)]
     # A triangle that the moved points turned over is none that a scanner makes.
     facing = np.einsum("ma,ma->m", face_vectors(points, whole), normals[whole].sum(1)) > 0
@@ -172,6 +173,12 @@ def _noise(
     degree = np.maximum(np.asarray(graph.sum(1)).ravel(), 1)
     noise = (white + 0.7 * (graph @ white) / np.sqrt(degree)) / np.sqrt(np.maximum(cosine, 0.2))
     return noise * rms / np.sqrt(np.mean(noise[seen] ** 2)) if seen.any() else noise
+
+
+def _sensor_noise(count: int, generator: np.random.Generator) -> np.ndarray:
+    """Mostly of brightness; that of colour is bounded, so that dark skin never turns green."""
+    brightness = _BRIGHTNESS_NOISE * generator.normal(size=(count, 1))
+    return brightness + np.clip(_COLOUR_NOISE * generator.normal(size=(count, 3)), -2.5, 2.5)
 
 
 def _ragged(triangles: np.ndarray, seen: np.ndarray, share: float, generator: np.random.Generator) -> np.ndarray:
