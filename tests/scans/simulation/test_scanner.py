@@ -6,6 +6,7 @@ from scipy.spatial import cKDTree
 
 from corporeal.geometry.closest_points import SurfaceTree
 from corporeal.geometry.normals import face_normals, vertex_normals
+from corporeal.geometry.self_intersection import winding_numbers
 from corporeal.geometry.subdivision import loop_step
 from corporeal.scans.segmentation import object_mask
 from corporeal.scans.simulation.appearance import SKIN_TONES, skin_colours
@@ -19,6 +20,7 @@ from corporeal.scans.simulation.scanner import (
     scan_surface,
     stereo_units,
 )
+from corporeal.scans.simulation.skeleton import bone_transforms
 
 UPRIGHT = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
 
@@ -115,14 +117,30 @@ def test_darkest_skin_and_stand_are_not_green(capture: RawCapture) -> None:
     assert not object_mask(capture.colours).any()
 
 
-def test_held_objects_are_green_and_stay_out_of_the_hand(hand: SampledSurface) -> None:
-    joints = load_simulator().joints[:17] @ UPRIGHT.T
-    for seed in range(6):
-        held = held_object(hand.vertices, joints, np.random.default_rng(seed))
-        if held is None:
+def test_grasps_hold_green_objects_that_hardly_enter_the_hand() -> None:
+    simulator = load_simulator()
+    held = 0
+    for number, bend in enumerate((20.0, 30.0, 40.0, 50.0, 60.0)):
+        angles = np.zeros((17, 3))
+        angles[2:14, 0], angles[14:, 0] = bend, 20.0
+        motions = bone_transforms(simulator, simulator.joints, angles)
+        R, t = motions[:, :3, :3], motions[:, :3, 3]
+        skin = (
+            np.einsum("nk,kab,nb->na", simulator.weights, R, simulator.surface_vertices)
+            + simulator.weights @ t
+        )
+        joints = np.einsum("kab,kb->ka", R, simulator.joints[:17]) + t
+        found = held_object(skin @ UPRIGHT.T, joints @ UPRIGHT.T, np.random.default_rng(number))
+        if found is None:
             continue
-        alone = scan_surface(held, [], ScannerOptions(), np.random.default_rng(seed))
+        held += 1
+        alone = scan_surface(found, [], ScannerOptions(), np.random.default_rng(number))
         assert object_mask(alone.colours).all()
+        inside = np.abs(winding_numbers(skin @ UPRIGHT.T, found.vertices, found.faces)) > 0.5
+        if inside.any():
+            entered = (skin @ UPRIGHT.T)[inside]
+            assert SurfaceTree(found.vertices, found.faces).closest(entered).distances.max() < 2e-3, bend
+    assert held >= 4
 
 
 def _nearest(targets: np.ndarray, points: np.ndarray) -> np.ndarray:

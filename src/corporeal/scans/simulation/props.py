@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from corporeal.scans.simulation.sampling_pattern import SamplingPattern
@@ -14,6 +15,9 @@ _GREY = np.array([140.0, 120.0, 112.0])
 _GREEN = np.array([70.0, 190.0, 60.0])
 _SPACING = 1.3e-3
 _HAND = 1
+_LARGEST = 0.03  # metres, radius of held objects
+_DEEPEST = 1.5e-3  # metres that skin may reach into them
+_OFFSETS = np.arange(0.012, 0.06, 0.001)
 
 
 def hand_stand(elbow: Float[np.ndarray, "3"], wrist: Float[np.ndarray, "3"]) -> SampledSurface:
@@ -43,11 +47,9 @@ def held_object(
         joints: heads of its bones.
         generator: picks the shape.
     """
-    knuckles, tips = joints[[2, 5, 8, 11]].mean(0), joints[[4, 7, 10, 13]].mean(0)
     across = joints[2] - joints[8]
     across /= np.linalg.norm(across)
-    centre = (knuckles + tips + joints[15] + joints[_HAND]) / 4
-    room = float(np.linalg.norm(posed - centre, axis=1).min())
+    centre, room = _hollow(posed, joints, across)
     if room < 6e-3:
         return None
     kind = generator.integers(3)
@@ -56,7 +58,25 @@ def held_object(
         return _ball(centre, 1.02 * room, _GREEN)
     # Along the knuckles a bar may be longer than the room is wide.
     half = np.array([0.06, 0.7 * room, 0.7 * room]) if kind == 1 else np.full(3, 0.62 * room)
-    return _box(centre, turn, half, _GREEN)
+    local = np.abs((posed - centre) @ turn)
+    while (half - local).min(axis=1).max() > _DEEPEST:
+        half[1:] *= 0.85
+    return _box(centre, turn, half, _GREEN) if half[1] > 3e-3 else None
+
+
+def _hollow(posed: np.ndarray, joints: np.ndarray, across: np.ndarray) -> tuple[np.ndarray, float]:
+    """Centre and radius of a ball that lies on the palm, as large as the fingers leave room for.
+
+    The mean of knuckles, tips and wrist was refused: it lies in the flesh of most grasps.
+    """
+    knuckles, tips = joints[[2, 5, 8, 11]].mean(0), joints[[4, 7, 10, 13]].mean(0)
+    palm = np.cross(across, knuckles - joints[_HAND])
+    palm *= np.sign(palm @ (tips - knuckles)) / np.linalg.norm(palm)
+    line = 0.75 * knuckles + 0.25 * joints[_HAND] + _OFFSETS[:, None] * palm
+    rooms = cKDTree(posed).query(line)[0]
+    # The first place that is wide enough: a small object in a wide hand lies on the palm.
+    best = int(np.argmax(rooms >= min(rooms.max(), _LARGEST)))
+    return line[best], float(min(rooms[best], _LARGEST))
 
 
 def _others(direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
