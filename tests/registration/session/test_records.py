@@ -1,12 +1,19 @@
 """Records: small, exact to half a step, the same bytes each time, and damage is noticed."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from corporeal.registration.session.files import read_decisions, read_record, read_records, write_record
-from corporeal.registration.session.records import RecordError, SessionRecord, decode_record, encode_record
+from corporeal.registration.session.records import (
+    FoundLandmarks,
+    RecordError,
+    SessionRecord,
+    decode_record,
+    encode_record,
+)
 
 
 def _record(rng, name="s01_p01_right", extent=0.2):
@@ -30,6 +37,16 @@ def test_a_record_comes_back_to_half_a_step(rng, extent):
     np.testing.assert_array_equal(back.shape, record.shape.astype(np.float32))
     np.testing.assert_array_equal(back.translation, record.translation)
     assert back.row == record.row and back.side == "right" and back.name == "s01_p01_right"
+
+
+def test_landmarks_are_kept_to_the_last_bit_with_and_without_a_registration(rng):
+    found = FoundLandmarks("hand_21", ("a", "b"), rng.standard_normal((2, 3)), rng.random(2), 0.9)
+    whole = replace(_record(rng), landmarks=found)
+    for record in (whole, SessionRecord(whole.row, landmarks=found)):
+        back = decode_record(encode_record(record), "it").landmarks
+        np.testing.assert_array_equal(back.positions, found.positions)
+        np.testing.assert_array_equal(back.sigmas, found.sigmas)
+        assert (back.set_name, back.names, back.right_probability) == ("hand_21", ("a", "b"), 0.9)
 
 
 def test_random_vertices_of_a_hand_stay_under_40_kb(rng):

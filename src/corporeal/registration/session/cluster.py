@@ -92,6 +92,6 @@ def _local_cluster(workers: int) -> Any:
         n_workers=workers,
         threads_per_worker=1,
         processes=True,
-        dashboard_address=None,
+        dashboard_address="127.0.0.1:0",  # A free port: the usual one may be taken, which dask warns of.
         silence_logs=logging.ERROR,
     )

@@ -24,6 +24,25 @@ class RecordError(ValueError):
 
 
 @dataclass(frozen=True, eq=False)
+class FoundLandmarks:
+    """What the detector found in a scan, kept because it takes as long as a fit.
+
+    Attributes:
+        set_name: which of the model's landmark sets the names belong to.
+        names: of the landmarks.
+        positions: (N, 3) metres, in the scan's frame.
+        sigmas: (N,) standard deviations relative to one another.
+        right_probability: how likely it is a right hand.
+    """
+
+    set_name: str
+    names: tuple[str, ...]
+    positions: Float[np.ndarray, "N 3"]
+    sigmas: Float[np.ndarray, " N"]
+    right_probability: float
+
+
+@dataclass(frozen=True, eq=False)
 class SessionRecord:
     """What is kept of one scan. A scan that could not be registered has a row only.
 
@@ -34,6 +53,7 @@ class SessionRecord:
         shape: (S,) shape coefficients, or None.
         translation: (3,) metres, or None.
         side: of the model that was fitted; None for a model without a side, or without a registration.
+        landmarks: what the detector found, or None.
     """
 
     row: dict[str, Any]
@@ -42,6 +62,7 @@ class SessionRecord:
     shape: Float[np.ndarray, " S"] | None = None
     translation: Float[np.ndarray, "3"] | None = None
     side: Literal["left", "right"] | None = None
+    landmarks: FoundLandmarks | None = None
 
     @property
     def name(self) -> str:
@@ -78,6 +99,15 @@ def encode_record(record: SessionRecord) -> bytes:
             "translation": record.translation.astype(np.float64),
             "side": np.array(record.side or ""),
         }
+    if record.landmarks is not None:
+        found = record.landmarks
+        arrays |= {
+            "landmark_set": np.array(found.set_name),
+            "landmark_names": np.array(found.names, dtype=np.str_),
+            "landmarks": found.positions,
+            "landmark_sigmas": found.sigmas,
+            "right_probability": np.array(found.right_probability),
+        }
     return zipped(arrays)
 
 
@@ -108,8 +138,17 @@ def _of_arrays(arrays: Mapping[str, np.ndarray]) -> SessionRecord:
     row = json.loads(arrays["row"].tobytes())
     if not isinstance(row, dict) or not {"name", "status", "scan"} <= set(row):
         raise ValueError("its row has no name, status and scan")
+    landmarks = None
+    if "landmarks" in arrays:
+        landmarks = FoundLandmarks(
+            str(arrays["landmark_set"]),
+            tuple(str(name) for name in arrays["landmark_names"]),
+            arrays["landmarks"],
+            arrays["landmark_sigmas"],
+            float(arrays["right_probability"]),
+        )
     if "vertices" not in arrays:
-        return SessionRecord(row)
+        return SessionRecord(row, landmarks=landmarks)
     missing = sorted(set(_KEYS) - set(arrays))
     if missing:
         raise ValueError(f"{missing[0]!r} is missing")
@@ -123,6 +162,7 @@ def _of_arrays(arrays: Mapping[str, np.ndarray]) -> SessionRecord:
         shape=arrays["shape"],
         translation=arrays["translation"],
         side=side or None,  # type: ignore[arg-type]
+        landmarks=landmarks,
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -76,7 +76,7 @@ def register_session(plan: SessionPlan) -> list[dict[str, Any]]:
         if plan.rounds > 1:
             priors = _priors(plan, records)
             jobs = [
-                _job(plan, scan, 2, priors[scan.protocol_pose])
+                _second_job(plan, scan, priors[scan.protocol_pose], records[scan.name])
                 for scan in plan.session.scans
                 if scan.protocol_pose in priors and records[scan.name].row["round"] < 2
             ]
@@ -175,7 +175,7 @@ def _better(first: SessionRecord, second: SessionRecord) -> SessionRecord:
         f"the second round ended {second.row['status']} ({second.row['reason']}); the first one is kept"
     )
     row = first.row | {"round": 2, "notes": [*first.row["notes"], sentence]}
-    return SessionRecord(row, first.vertices, first.pose, first.shape, first.translation, first.side)
+    return replace(first, row=row)
 
 
 def _priors(plan: SessionPlan, records: Mapping[str, SessionRecord]) -> dict[str, GaussianPose]:
@@ -205,8 +205,10 @@ def _priors(plan: SessionPlan, records: Mapping[str, SessionRecord]) -> dict[str
     return priors
 
 
-def _job(
-    plan: SessionPlan, scan: SessionScan, round_number: int = 1, prior: GaussianPose | None = None
-) -> ScanJob:
+def _job(plan: SessionPlan, scan: SessionScan) -> ScanJob:
     path = str(plan.session.folder / scan.file)
-    return ScanJob(scan.name, path, scan.subject, scan.protocol_pose, scan.side, round_number, prior)
+    return ScanJob(scan.name, path, scan.subject, scan.protocol_pose, scan.side)
+
+
+def _second_job(plan: SessionPlan, scan: SessionScan, prior: GaussianPose, first: SessionRecord) -> ScanJob:
+    return replace(_job(plan, scan), round_number=2, prior=prior, landmarks=first.landmarks)

@@ -16,15 +16,16 @@ import torch
 
 from corporeal.model.mirror import mirror_model
 from corporeal.model.surface_model import Side, SurfaceModel
-from corporeal.registration.evidence import LandmarkFinder
+from corporeal.registration.evidence import LandmarkEvidence, LandmarkFinder
 from corporeal.registration.options import RegistrationOptions
 from corporeal.registration.register import register
 from corporeal.registration.registration import FailedRegistration, Registration
 from corporeal.registration.rows import failed_row, registered_row
 from corporeal.registration.session.files import sha256_of
 from corporeal.registration.session.jobs import ScanJob, WorkerError
-from corporeal.registration.session.records import SessionRecord
+from corporeal.registration.session.records import FoundLandmarks, SessionRecord
 from corporeal.scans.files import ScanFileError, read_scan
+from corporeal.scans.scan import Scan
 from corporeal.scans.segmentation import remove_object
 from corporeal.scans.units import UnitChoice
 
@@ -107,7 +108,7 @@ class ScanWorker:
             except ValueError as error:
                 raise ScanContentError(str(error)) from error
         marked = time.perf_counter()
-        evidence, notes = self._finder.find(scan)
+        evidence, notes, found = self._evidence(job, scan)
         seconds["landmarks"] = time.perf_counter() - marked
         marked = time.perf_counter()
         side = job.side or setup.side
@@ -115,8 +116,32 @@ class ScanWorker:
         result = register(scan, self._model(side), evidence, side, options)
         seconds["fit"] = time.perf_counter() - marked
         if isinstance(result, FailedRegistration):
-            return SessionRecord(failed_row(job.path, result.reason, seconds, notes))
-        return self._record(job, result, registered_row(job.path, result, seconds, notes))
+            return SessionRecord(failed_row(job.path, result.reason, seconds, notes), landmarks=found)
+        record = self._record(job, result, registered_row(job.path, result, seconds, notes))
+        return dataclasses.replace(record, landmarks=found)
+
+    def _evidence(
+        self, job: ScanJob, scan: Scan
+    ) -> tuple[LandmarkEvidence | None, list[str], FoundLandmarks | None]:
+        """Landmarks of the first round, or of the detector."""
+        found = job.landmarks
+        if found is not None:
+            positions = dict(zip(found.names, found.positions, strict=True))
+            sigmas = dict(zip(found.names, found.sigmas.tolist(), strict=True))
+            evidence = LandmarkEvidence(positions, sigmas, found.right_probability, found.set_name)
+            return evidence, ["landmarks of the first round"], found
+        detected, notes = self._finder.find(scan)
+        if detected is None:
+            return None, notes, None
+        names = tuple(detected.positions)
+        found = FoundLandmarks(
+            detected.set_name,
+            names,
+            np.array([detected.positions[name] for name in names]),
+            np.array([detected.sigmas.get(name, 1.0) for name in names]),
+            float(detected.right_probability),
+        )
+        return detected, notes, found
 
     def _model(self, side: Side | None) -> SurfaceModel:
         model = self._setup.model
