@@ -78,7 +78,10 @@ def test_a_mesh_that_few_views_show_is_looked_at_again_without_its_noise(capture
     mesh = dataclasses.replace(scan, faces=np.array([[0, 1, 2]]))
     smoothed = []
     monkeypatch.setattr(Subject, "smoothed", lambda self: smoothed.append(self) or self)
-    assert find_hand_landmarks(mesh, FakeDetector(marks, rng)).views_tried == 96
+    assert find_hand_landmarks(mesh, FakeDetector(marks, rng)).views_tried == 28
+    assert not smoothed
+    # Where a part of the views is no use, more are taken before the noise is blamed.
+    assert find_hand_landmarks(mesh, FakeDetector(marks, rng, blind=0.5)).views_tried > 28
     assert not smoothed
     blind = FakeDetector(marks, rng, blind=1.0)
     assert not find_hand_landmarks(mesh, blind).ok and len(smoothed) == 1
@@ -105,7 +108,7 @@ def turned_cloud(scan: Scan, transform: np.ndarray) -> Scan:
 def test_a_real_right_hand_is_found_turned_mirrored_and_as_points(shared_data, detector):
     scan = read_scan(shared_data / "scans" / "hand-scan2knit" / "hand5.off")
     found = find_hand_landmarks(scan, detector)
-    assert found.ok and found.side_score > 0.8 and found.views_used >= 40
+    assert found.ok and found.side_score > 0.8 and found.views_used >= 14
     nearest = np.linalg.norm(scan.points[None] - found.points[:, None], axis=2).min(1)
     assert nearest.max() < 0.03
     lengths = np.linalg.norm(found.points[[8, 12, 16, 20]] - found.points[[5, 9, 13, 17]], axis=1)

@@ -100,6 +100,11 @@ class Subject:
         points, faces = self._coarse
         return flat_picture(points, faces, camera, SKIN, BACKGROUND)
 
+    @property
+    def outline(self) -> Float[np.ndarray, "W 3"]:
+        """Points that tell where the scan is, for framing: those that are drawn of a mesh, all of a cloud."""
+        return self.scan.points if self.radii is not None else self._coarse[0]
+
     @cached_property
     def _coarse(self) -> tuple[np.ndarray, np.ndarray]:
         """What is drawn of a mesh: scanners give more triangles than the pictures have pixels on the hand."""
