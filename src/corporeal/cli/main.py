@@ -8,13 +8,15 @@ from typing import Annotated
 import tyro
 
 import corporeal
-from corporeal.cli import convert, info, register
+from corporeal.cli import convert, curate, info, register, report
 from corporeal.cli.errors import CommandError
 
 Command = (
     Annotated[register.Register, tyro.conf.subcommand("register")]
     | Annotated[info.Info, tyro.conf.subcommand("info")]
     | Annotated[convert.Convert, tyro.conf.subcommand("convert")]
+    | Annotated[curate.Curate, tyro.conf.subcommand("curate")]
+    | Annotated[report.Report, tyro.conf.subcommand("report")]
 )
 
 
@@ -41,11 +43,15 @@ def main(arguments: list[str] | None = None) -> int:
         return 130
 
 
-def _run(config: register.Register | info.Info | convert.Convert) -> int:
+def _run(config: Command) -> int:
     if isinstance(config, register.Register):
         return register.run(config)
     if isinstance(config, info.Info):
         return info.run(config)
+    if isinstance(config, curate.Curate):
+        return curate.run(config)
+    if isinstance(config, report.Report):
+        return report.run(config)
     return convert.run(config)
 
 

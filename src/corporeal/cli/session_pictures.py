@@ -117,7 +117,7 @@ class SessionPictures:
     def _view(
         self, record: SessionRecord, points: np.ndarray
     ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-        """(view direction, up) in the scan's frame: onto the palm; without a registration onto the flat side."""
+        """(view direction, up) in the scan's frame: onto the palm; without one onto the flat side."""
         if record.pose is None:
             if len(points) < 3:
                 return np.array([0.0, 0.0, -1.0]), np.array([0.0, 1.0, 0.0])
