@@ -118,6 +118,7 @@ class _Part:
     local_faces: Int[np.ndarray, "f 3"]
     at_cut: Bool[np.ndarray, "f 3"]
     closed: _Closed
+    tree: SurfaceTree
     candidates: Int[np.ndarray, " c"]
 
 
@@ -166,6 +167,7 @@ class PartSurfaces:
                     local_faces,
                     open_sides(local_faces),
                     _Closed(own, local_faces),
+                    SurfaceTree(own, local_faces),
                     candidates,
                 )
             )
@@ -184,16 +186,16 @@ class PartSurfaces:
         candidates = part.candidates[_in_oriented_box(vertices[part.candidates], own)]
         if not len(candidates):
             return None
-        tree = SurfaceTree(own, part.local_faces)
+        part.tree.refit(own)
         # Winding numbers were the largest part of a registration; most of the box is plainly outside.
-        candidates = candidates[_not_outside(part, own, tree, vertices[candidates])]
+        candidates = candidates[_not_outside(part, own, vertices[candidates])]
         for closed, surface, least in ((part.closed, own, 0.5), (self._whole, vertices, 1.0)):
             if not len(candidates):
                 return None
             candidates = candidates[closed.winding_numbers(vertices[candidates], surface) > least]
         if not len(candidates):
             return None
-        closest = tree.closest(vertices[candidates])
+        closest = part.tree.closest(vertices[candidates])
         return PartPenetration(
             candidates,
             self._part_of_vertex[candidates],
@@ -204,11 +206,9 @@ class PartSurfaces:
         )
 
 
-def _not_outside(
-    part: _Part, own: np.ndarray, tree: SurfaceTree, points: np.ndarray
-) -> Bool[np.ndarray, " _"]:
+def _not_outside(part: _Part, own: np.ndarray, points: np.ndarray) -> Bool[np.ndarray, " _"]:
     """Points behind the closest face, or closest to where the part was cut out: they may be inside."""
-    closest = tree.closest(points)
+    closest = part.tree.closest(points)
     normals = face_normals(own, part.local_faces)[closest.faces]
     behind = np.einsum("na,na->n", points - closest.points, normals) < 0
     return behind | (part.at_cut[closest.faces] & (closest.barycentric < 1e-9)).any(axis=1)
@@ -217,7 +217,7 @@ def _not_outside(
 def _in_oriented_box(points: np.ndarray, part_vertices: np.ndarray) -> Bool[np.ndarray, " _"]:
     """Whether a point is in the part's box along its principal axes: a finger's box holds little else."""
     centre = part_vertices.mean(axis=0)
-    axes = np.linalg.svd(part_vertices - centre, full_matrices=False)[2]
-    inside = (part_vertices - centre) @ axes.T
-    asked = (points - centre) @ axes.T
+    offsets = part_vertices - centre
+    axes = np.linalg.eigh(offsets.T @ offsets)[1]
+    inside, asked = offsets @ axes, (points - centre) @ axes
     return ((asked >= inside.min(axis=0)) & (asked <= inside.max(axis=0))).all(axis=1)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, replace
+from weakref import WeakKeyDictionary
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from corporeal.geometry.self_intersection import PartSurfaces
 from corporeal.geometry.topology import unique_edges
@@ -44,8 +45,25 @@ class MeasuredLandmarks:
     relative_sigmas: Float[np.ndarray, " N"]
 
 
+@dataclass(frozen=True, eq=False)
+class _Topology:
+    """What depends on the model alone, and is the same for every scan of a session."""
+
+    surface: MovingSurface
+    parts: PartSurfaces | None
+    edges: Int[np.ndarray, "E 2"]
+    edge_lengths: Float[np.ndarray, " E"]
+
+
+# Kept as long as the model is: a session registers thousands of scans with two (0.1 s each to make).
+_TOPOLOGIES: WeakKeyDictionary[SurfaceModel, _Topology] = WeakKeyDictionary()
+
+
 class Fitter:
-    """A model being fitted to one scan: topology, fields and search trees are made once for all stages."""
+    """A model being fitted to one scan: topology, fields and search trees are made once for all stages.
+
+    Fitters of one model share its trees, which move with the surface: not for several threads at once.
+    """
 
     def __init__(
         self,
@@ -64,8 +82,8 @@ class Fitter:
             landmarks=None if landmarks is None else landmarks.landmark_set,
             correctives=options.correctives,
         )
-        self.surface = MovingSurface(model.template, model.faces)
-        self.parts = _parts(model)
+        topology = _topology(model)
+        self.surface, self.parts = topology.surface, topology.parts
 
     def rescaled(self, factor: float) -> Fitter:
         """The same fit with another estimate of the scan's scale; itself where the factor is 1."""
@@ -151,22 +169,31 @@ class Fitter:
         return [PartSeparation("separation", field, self.surface.faces, self.parts, pattern, sigma)]
 
     def _coupling(self, stage: FreeStage) -> EdgeCoupling:
-        edges = unique_edges(self.model.faces)
-        ends = self.model.template[edges]
-        lengths = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
+        topology = _topology(self.model)
         return EdgeCoupling(
             "coupling",
             (FREE, MODEL),
-            edges,
+            topology.edges,
             self.model.vertex_count,
             sigma=stage.coupling_sigma,
             position_sigma=stage.position_sigma,
-            weights=1 / lengths**2,
+            weights=1 / topology.edge_lengths**2,
         )
 
     def _solve_model(self, terms: list[Term], start: np.ndarray, iterations: int) -> Solution:
         problem = Problem(terms, self.fields.derive, self.fields.differentiate)
         return solve(problem, State(start), DoglegOptions(iterations=iterations, relative_decrease=1e-3))
+
+
+def _topology(model: SurfaceModel) -> _Topology:
+    found = _TOPOLOGIES.get(model)
+    if found is None:
+        edges = unique_edges(model.faces)
+        ends = model.template[edges]
+        lengths = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
+        found = _Topology(MovingSurface(model.template, model.faces), _parts(model), edges, lengths)
+        _TOPOLOGIES[model] = found
+    return found
 
 
 def _parts(model: SurfaceModel) -> PartSurfaces | None:

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from corporeal.geometry.closest_points import SurfaceTree
+from corporeal.geometry.clustering import clustered
 from corporeal.geometry.normals import face_areas, face_normals
 from corporeal.geometry.topology import open_sides
 from corporeal.scans.flat_patches import flat_patch
@@ -35,6 +36,11 @@ class SampledPoints:
             return self
         picked = np.linspace(0, len(self.positions) - 1, count).astype(np.int64)
         return SampledPoints(self.positions[picked], None if self.normals is None else self.normals[picked])
+
+
+# The surface that the model's vertices are pulled to. The model has 3,000 of them and the pull is robust over
+# 5 mm and more: beyond this many points a scan's detail costs time only (0.2 s of a scan with 50,000).
+_SURFACE_POINTS = 12_000
 
 
 class Target:
@@ -69,9 +75,9 @@ class Target:
 
     @cached_property
     def surface(self) -> ScanSurface | None:
-        """The scan's triangles, or None for a point cloud."""
+        """The scan's triangles, fewer where it has many, or None for a point cloud."""
         scan = self.measured
         if scan.is_point_cloud:
             return None
-        tree = SurfaceTree(scan.points, scan.faces)
-        return ScanSurface(tree, face_normals(scan.points, scan.faces), open_sides(scan.faces))
+        points, faces = clustered(scan.points, scan.faces, _SURFACE_POINTS)
+        return ScanSurface(SurfaceTree(points, faces), face_normals(points, faces), open_sides(faces))
