@@ -27,6 +27,10 @@ DECISIONS = "decisions.jsonl"
 PRIORS = "priors.npz"
 
 
+class RecordMissingError(RecordError):
+    """There is no such record."""
+
+
 class SessionFolderError(ValueError):
     """The folder of results cannot be used; the message names the file and says what to do."""
 
@@ -54,14 +58,32 @@ def read_record(path: Path | str) -> SessionRecord:
     """Read a record.
 
     Raises:
-        RecordError: there is none, or it is damaged.
+        RecordError: it is damaged.
+        RecordMissingError: there is none.
     """
     path = Path(path)
     try:
         content = path.read_bytes()
+    except FileNotFoundError as error:
+        raise RecordMissingError(f"{path}: cannot be read ({error.strerror})") from error
     except OSError as error:
         raise RecordError(f"{path}: cannot be read ({error.strerror or error})") from error
     return decode_record(content, str(path))
+
+
+def remove_record(path: Path) -> None:
+    """Remove a record that no longer holds."""
+    path.unlink(missing_ok=True)
+
+
+def has_records(folder: Path | str) -> bool:
+    """Whether any record lies in a folder of results."""
+    return any(record_folder(folder).glob("*.npz"))
+
+
+def make_folder(folder: Path | str) -> None:
+    """Make the folder of results where it is missing; ``OSError`` where it cannot be."""
+    Path(folder).mkdir(parents=True, exist_ok=True)
 
 
 def read_records(folder: Path | str) -> list[SessionRecord]:

@@ -95,7 +95,7 @@ def register_session(plan: SessionPlan) -> list[dict[str, Any]]:
 def _prepared(plan: SessionPlan) -> dict[str, SessionRecord]:
     """Check and write the manifest; returns the records that still hold."""
     folder, watcher = plan.folder, plan.watcher
-    folder.mkdir(parents=True, exist_ok=True)
+    files.make_folder(folder)
     if plan.restart:
         for sentence in files.remove_results(folder):
             watcher.note(sentence)
@@ -106,7 +106,7 @@ def _prepared(plan: SessionPlan) -> dict[str, SessionRecord]:
     manifest["stamps"] = files.file_stamps(paths)
     old = files.read_json_file(folder / files.MANIFEST)
     if old is None:
-        if any(files.record_folder(folder).glob("*.npz")):
+        if files.has_records(folder):
             raise SessionFolderError(
                 f"{folder}: holds records but no {files.MANIFEST}, so that it is not known what they were "
                 "made from; choose another folder, or redo all with --restart"
@@ -133,13 +133,13 @@ def _valid_records(
     records = {}
     for name, path in paths.items():
         where = files.record_path(plan.folder, name)
-        if not where.exists():
-            continue
         try:
             record = files.read_record(where)
+        except files.RecordMissingError:
+            continue
         except RecordError:
             plan.watcher.note(f"{where.name}: was damaged; its scan is registered again")
-            where.unlink()
+            files.remove_record(where)
             continue
         known = record.row["sha256"]
         # A scan that is gone keeps its result; one that came back is registered.
@@ -148,7 +148,7 @@ def _valid_records(
         )
         if changed:
             plan.watcher.note(f"{path.name}: has changed since it was registered; it is registered again")
-            where.unlink()
+            files.remove_record(where)
             continue
         records[name] = record
     return records
