@@ -22,14 +22,14 @@ _FEWEST_COARSE = 3
 # Of the twelve coarse views round one end, those taken first.
 _FLAT_VIEWS = 4
 # With a smaller share, a mesh is looked at again without its noise. Clean scans of closed hands reach a third.
-_SHARE_TO_TRUST = 0.14
+_SHARE_TO_TRUST = 0.12
 # Rounds of views on either side of the hand: turns about the fingers' direction and tilts along it, degrees,
 # and how many views of all rounds so far have to agree to be done. A hand that is seen well needs 20 views.
 _ROUNDS: tuple[tuple[tuple[float, ...], tuple[float, ...], float], ...] = (
     ((-20.0, 20.0), (-10.0, 20.0), np.inf),
-    ((-35.0, 0.0, 35.0), (-15.0, 20.0), 12),
-    ((-40.0, -15.0, 15.0, 40.0), (-20.0, 5.0, 30.0), 18),
-    ((-50.0, -30.0, -10.0, 10.0, 30.0, 50.0), (-25.0, -5.0, 15.0, 35.0), np.inf),
+    ((-35.0, 0.0, 35.0), (-15.0, 20.0), 10),
+    ((-40.0, -15.0, 15.0, 40.0), (-20.0, 5.0, 30.0), 14),
+    ((-50.0, -10.0, 30.0), (-25.0, -5.0, 15.0, 35.0), np.inf),
 )
 # A hand with its wrist is about this long (metres); scans with an unknown unit come provisionally hand-sized.
 _HAND_LENGTH = 0.22
