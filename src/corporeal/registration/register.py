@@ -6,6 +6,7 @@ import dataclasses
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from jaxtyping import Float
@@ -30,13 +31,18 @@ OnStep = Callable[[str], None]
 _CLEAR_SIDE = 0.15
 # A start with fewer scan points on the hand's side of the wrist has nothing to fit to.
 _FEWEST_POINTS = 100
+# Kept as long as the model is: a session registers thousands of scans with two models.
+_MIRRORED: WeakKeyDictionary[SurfaceModel, SurfaceModel] = WeakKeyDictionary()
 
 
 def model_of_side(model: SurfaceModel, side: Side | None) -> SurfaceModel:
     """The model itself, or its mirror image where the other side is asked for."""
     if side is None or model.side is None or model.side == side:
         return model
-    return mirror_model(model)
+    mirrored = _MIRRORED.get(model)
+    if mirrored is None:
+        mirrored = _MIRRORED[model] = mirror_model(model)
+    return mirrored
 
 
 def register(
