@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from corporeal.atomic import write_bytes
-from corporeal.model.files import open_model
-
 _ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(_ROOT / "assets"))
 from open_hand.recorded_poses import carried_over, read_poses, thumb_nail
+
+from corporeal.atomic import write_bytes
+from corporeal.model.files import open_model
 
 _OUT = _ROOT / "src/corporeal/scans/simulation/recorded_poses.npz"
 _KEPT = 400
@@ -37,7 +37,7 @@ def main() -> None:
     spread, flexion, twist = np.moveaxis(
         Rotation.from_matrix(own.reshape(-1, 3, 3)).as_euler("YXZ", degrees=True).reshape(-1, 15, 3), 2, 0
     )
-    # Of the two triples of angles that give a rotation, the one with little spread: fingers bend beyond 90 degrees.
+    # Of the two triples that give a rotation, the one with little spread: fingers bend beyond 90 degrees.
     beyond = np.abs(spread) > 90
     spread, twist = (np.where(beyond, (a + 360) % 360 - 180, a) for a in (spread, twist))
     angles = np.stack([np.where(beyond, 180 - flexion, flexion), spread, twist], axis=2)

@@ -25,9 +25,9 @@ _LIMITS = {
 }
 _CHANGES = {
     "r-hand-scale-incr": 0.12,
-    "r-hand-fingers-length-incr": 0.25,
-    "r-hand-fingers-diameter-incr": 0.7,
-    "r-hand-fingers-distance-incr": 0.4,
+    "r-hand-fingers-length-incr": 0.2,
+    "r-hand-fingers-diameter-incr": 0.35,
+    "r-hand-fingers-distance-incr": 0.3,
     "measure-wrist-circ-incr": 0.4,
     "r-lowerarm-fat-incr": 0.3,
     "r-lowerarm-muscle-incr": 0.3,

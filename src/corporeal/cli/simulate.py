@@ -195,7 +195,9 @@ def _check_same(path: Path, options: dict[str, Any]) -> None:
     changed = [name for name, value in options.items() if before.get(name) != value]
     if changed:
         words = ", ".join(f"--{name.replace('_', '-')} {before.get(name)}" for name in changed)
-        raise CommandError(f"{path.parent}: was begun with {words}; continue with that or take another folder", 2)
+        raise CommandError(
+            f"{path.parent}: was begun with {words}; continue with that or take another folder", 2
+        )
 
 
 def _check_call(config: Simulate) -> None:

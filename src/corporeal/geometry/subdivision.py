@@ -15,8 +15,8 @@ class LoopStep:
 
     Attributes:
         matrix: (V', V) rows that sum to one; the first V rows move the old vertices, the others lie on edges.
-        faces: (4 F, 3) the four parts of face f are 4 f (at its first corner), 4 f + 1, 4 f + 2 and 4 f + 3 (its
-            middle, whose corners lie on the edges 0-1, 1-2 and 2-0).
+        faces: (4 F, 3) the four parts of face f are 4 f (at its first corner), 4 f + 1, 4 f + 2 and 4 f + 3
+            (its middle, whose corners lie on the edges 0-1, 1-2 and 2-0).
     """
 
     matrix: sp.csr_matrix
@@ -41,7 +41,10 @@ def loop_step(faces: Int[np.ndarray, "F 3"], vertex_count: int) -> LoopStep:
     if (uses > 2).any():
         raise ValueError(f"faces: {int((uses > 2).sum())} edges belong to more than two faces")
     matrix = sp.vstack(
-        [_old_vertices(edges, uses == 1, vertex_count), _edge_vertices(faces, edges, edge_of_side, uses, vertex_count)]
+        [
+            _old_vertices(edges, uses == 1, vertex_count),
+            _edge_vertices(faces, edges, edge_of_side, uses, vertex_count),
+        ]
     ).tocsr()
     ab, bc, ca = (vertex_count + edge_of_side.reshape(-1, 3)).T
     a, b, c = faces.T

@@ -1,7 +1,7 @@
 """Limited-memory BFGS with a preconditioner: for energies whose Hessian is too dear to factorise.
 
-Liu, Bouaziz and Kavan 2017, "Quasi-Newton methods for real-time simulation of hyperelastic materials": a constant
-matrix factorised once stands in for the first inverse Hessian, the last few steps correct it.
+Liu, Bouaziz and Kavan 2017, "Quasi-Newton methods for real-time simulation of hyperelastic materials": a
+constant matrix factorised once stands in for the first inverse Hessian, the last few steps correct it.
 """
 
 from __future__ import annotations
@@ -91,7 +91,9 @@ def descend(
     return Settled(x, value, taken, quiet >= 3)
 
 
-def _two_loops(gradient: np.ndarray, pairs: deque, precondition: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+def _two_loops(
+    gradient: np.ndarray, pairs: deque, precondition: Callable[[np.ndarray], np.ndarray]
+) -> np.ndarray:
     """The inverse Hessian's product with the gradient (Nocedal and Wright 2006, algorithm 7.4)."""
     q = gradient.copy()
     shares = []

@@ -81,9 +81,10 @@ def test_fingers_lie_on_the_same_fingers(simulator, open_hand):
     part_of_bone = np.concatenate([[0, 0], np.repeat(np.arange(1, 6), 3)])
     here = part_of_bone[weights.argmax(1)]
     there = part_of_bone[1:][open_hand["weights"].argmax(1)]
-    on_fingers = (here > 0) & (there > 0)
-    assert on_fingers.sum() > 1500
-    np.testing.assert_array_equal(here[on_fingers], there[on_fingers])
+    # In the webs both rigs share the skin between neighbours.
+    clear = (here > 0) & (there > 0) & (weights.max(1) > 0.6)
+    assert clear.sum() > 1500
+    np.testing.assert_array_equal(here[clear], there[clear])
 
 
 def test_finger_tips_are_reached(simulator, open_hand):

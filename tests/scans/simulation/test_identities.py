@@ -42,11 +42,12 @@ def test_relief_is_a_person_s_own_and_leaves_the_joints(simulator):
     surface, joints = hand_at_rest(simulator, subject, "right")
     plain = simulator.surface_vertices + simulator.identity_directions @ subject.identity
     np.testing.assert_allclose(joints, simulator.joints + simulator.identity_joints @ subject.identity)
-    normals = vertex_normals(plain, simulator.surface_faces)
-    height = np.einsum("na,na->n", surface - plain, normals)
-    np.testing.assert_allclose(surface - plain, height[:, None] * normals, atol=1e-12)
-    assert 0.5 * subject.relief < height.std() < 1.5 * subject.relief
-    assert np.abs(height).max() < 2.5e-3
+    height = np.linalg.norm(surface - plain, axis=1)
+    outward = np.einsum("na,na->n", surface - plain, vertex_normals(plain, simulator.surface_faces))
+    # Along the normals, but for grooves and webs.
+    assert np.quantile(np.abs(outward) / height, 0.05) > 0.8
+    assert 0.5 * subject.relief < np.sqrt((height**2).mean()) < 1.5 * subject.relief
+    assert height.max() < 2.5e-3
 
 
 def test_the_left_hand_is_nearly_the_right_one(simulator):

@@ -1,4 +1,7 @@
-"""Stable neo-Hookean elasticity on tetrahedra and frictionless contact, one thread: sessions run a process per core."""
+"""Stable neo-Hookean elasticity on tetrahedra and frictionless contact.
+
+One thread: sessions run a process per core.
+"""
 
 import numpy as np
 from numba import njit
@@ -79,6 +82,11 @@ def contact_forces(x, vertices, triangles, barycentric, normals, stiffness, thic
 
 
 @njit(cache=True)
+def squared_distance(a, b):
+    return (a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2
+
+
+@njit(cache=True)
 def closest_on_triangle(p, a, b, c):
     """Barycentric weights of the point of a triangle closest to p (Ericson 2005, 5.1.5)."""
     ab, ac, ap = b - a, c - a, p - a
@@ -133,8 +141,8 @@ def cell_lists(points, low, size, shape):
 def contact_pairs(skin, points, normals, rest_gap, reach, grid):
     """For every surface point, the nearest face of skin that is far from it at rest and looks against it.
 
-    Within one part (a finger, the palm) only skin that looked the same way at rest can meet: palm side on palm
-    side in a crease. Its far side is no neighbour across a gap, however thin the part is squeezed.
+    Within one part (a finger, the palm) only skin that looked the same way at rest can meet: palm side on
+    palm side in a crease. Its far side is no neighbour across a gap, however thin the part is squeezed.
 
 
     Returns the face (-1 where there is none within reach) and the barycentric weights of the closest point.
@@ -152,17 +160,13 @@ def contact_pairs(skin, points, normals, rest_gap, reach, grid):
                     key = (cx * shape[1] + cy) * shape[2] + cz
                     for m in range(starts[key], starts[key + 1]):
                         j = members[m]
-                        gap, apart = 0.0, 0.0
-                        for a in range(3):
-                            gap += (points[i, a] - points[j, a]) ** 2
-                            apart += (rest[i, a] - rest[j, a]) ** 2
-                        if gap >= best or apart < rest_gap * rest_gap:
+                        gap = squared_distance(points[i], points[j])
+                        if gap >= best or squared_distance(rest[i], rest[j]) < rest_gap * rest_gap:
                             continue
-                        if normals[i] @ normals[j] > 0.3:
-                            continue
-                        if parts[i] == parts[j] and rest_normals[i] @ rest_normals[j] < 0.0:
-                            continue
-                        nearest, best = j, gap
+                        same_part = parts[i] == parts[j]
+                        through = same_part and rest_normals[i] @ rest_normals[j] < 0.0
+                        if not through and normals[i] @ normals[j] <= 0.3:
+                            nearest, best = j, gap
         if nearest < 0:
             continue
         best = np.inf

@@ -8,13 +8,13 @@ from functools import lru_cache
 import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float, Int
-from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from corporeal.scans.simulation.files import HandSimulator
 from corporeal.scans.simulation.skeleton import bone_transforms
 from corporeal.scans.simulation.soft_body import FleshOptions, PosedFlesh, SoftBody
-from corporeal.solve.sparse import factorised
+from corporeal.scans.simulation.tetrahedra import laplacian, places, vertex_gradients
+from corporeal.solve.sparse import Factorisation, factorised
 
 HAND = 1
 # Bones fill this share of the way from their axis to the skin.
@@ -77,7 +77,9 @@ class SoftHand:
         self.joints = joints
         embedding = _embedding(simulator)
         self._embedding = embedding
-        self.rest_tets = simulator.tet_vertices + _carried_over(simulator, surface - simulator.surface_vertices)
+        self.rest_tets = simulator.tet_vertices + _carried_over(
+            simulator, surface - simulator.surface_vertices
+        )
         # What the tetrahedra do not follow of the skin stays on it as an offset of the rest shape.
         self.rest_surface = surface
         weights = _tet_weights(simulator)
@@ -98,8 +100,7 @@ class SoftHand:
         share = 1.0
         for _ in range(_TRIES):
             count = self.body.options.increments
-            shares = share * np.arange(1, count + 1) / count
-            motions = [self._motions(rest + s * (angles - rest)) for s in shares]
+            motions = [self._motions(rest + s * (angles - rest)) for s in _schedule(count, share)]
             flesh = self.body.posed(np.array(motions))
             if flesh.smallest_det > 0 and flesh.deepest < _DEEPEST:
                 break
@@ -132,7 +133,7 @@ class SoftHand:
         corner with the corner's own mean gradient makes it exact for quadratic motions.
         """
         nearest, shares = self._embedding
-        gradients = _vertex_gradients(self.rest_tets, vertices, self._simulator.tets)
+        gradients = vertex_gradients(self.rest_tets, vertices, self._simulator.tets)
         corners = self._simulator.tets[nearest]
         offset = self.rest_surface[:, None] - self.rest_tets[corners]
         steps = np.einsum("ncab,ncb->nca", gradients[corners], offset)
@@ -148,7 +149,18 @@ class SoftHand:
 _PART_OF_BONE = np.concatenate([[0, 0], np.repeat(np.arange(1, 6), 3)])
 _HINGES = tuple(range(2, 17))
 _PALM_ENDS = (2, 5, 8, 11)
-_TRIES, _RELAXED, _DEEPEST = 5, 0.9, 1e-3
+_THUMB, _THUMB_LAG = 5, 3
+_TRIES, _RELAXED, _DEEPEST = 8, 0.87, 1e-3
+
+
+def _schedule(count: int, share: float) -> list[Float[np.ndarray, "17 1"]]:
+    """Share of the pose that every bone has reached, step by step.
+
+    The thumb follows the fingers: one that arrives with them is caught beneath them.
+    """
+    steps = np.arange(1, count + 1) / count
+    thumb = (_PART_OF_BONE == _THUMB)[:, None]
+    return [share * np.where(thumb, step**_THUMB_LAG, step) for step in steps]
 
 
 def bone_segments(
@@ -211,15 +223,7 @@ def _to_segment(points: np.ndarray, head: np.ndarray, end: np.ndarray) -> tuple[
 @lru_cache(maxsize=2)
 def _embedding(simulator: HandSimulator) -> tuple[np.ndarray, np.ndarray]:
     """The tetrahedron that every surface vertex lies in (or nearly), and its barycentric weights."""
-    corners = simulator.tet_vertices[simulator.tets]
-    _, near = cKDTree(corners.mean(1)).query(simulator.surface_vertices, k=24)
-    inverse = np.linalg.inv((corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1))
-    offset = simulator.surface_vertices[:, None] - corners[near, 0]
-    others = np.einsum("nkab,nkb->nka", inverse[near], offset)
-    shares = np.concatenate([1 - others.sum(-1, keepdims=True), others], axis=-1)
-    best = shares.min(-1).argmax(1)
-    rows = np.arange(len(best))
-    return near[rows, best], shares[rows, best]
+    return places(simulator.surface_vertices, simulator.tet_vertices, simulator.tets)
 
 
 @lru_cache(maxsize=2)
@@ -230,39 +234,18 @@ def _tet_weights(simulator: HandSimulator) -> np.ndarray:
 
 
 @lru_cache(maxsize=2)
-def _carrier(simulator: HandSimulator) -> tuple[sp.csr_matrix, object]:
+def _carrier(simulator: HandSimulator) -> tuple[sp.csr_matrix, Factorisation, float]:
+    """Skin of tetrahedra's vertices, the solver that carries values over, and the weight of the skin's."""
     nearest, shares = _embedding(simulator)
     count, size = len(nearest), len(simulator.tet_vertices)
     rows = np.repeat(np.arange(count), 4)
     onto = sp.csr_matrix((shares.ravel(), (rows, simulator.tets[nearest].ravel())), shape=(count, size))
-    corners = simulator.tet_vertices[simulator.tets]
-    edges = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
-    inverse = np.linalg.inv(edges)
-    gradients = np.concatenate([-inverse.sum(1, keepdims=True), inverse], axis=1)
-    volumes = np.linalg.det(edges) / 6
-    local = np.einsum("eia,eja,e->eij", gradients, gradients, volumes)
-    i, j = np.repeat(simulator.tets, 4, axis=1).ravel(), np.tile(simulator.tets, (1, 4)).ravel()
-    laplacian = sp.csr_matrix((local.ravel(), (i, j)), shape=(size, size))
-    scale = _FAITH * laplacian.diagonal().mean()
-    return onto, (factorised(sp.csr_matrix(scale * onto.T @ onto + laplacian)), scale)
+    smooth = laplacian(simulator.tet_vertices, simulator.tets)
+    scale = _FAITH * smooth.diagonal().mean()
+    return onto, factorised(sp.csr_matrix(scale * onto.T @ onto + smooth)), float(scale)
 
 
 def _carried_over(simulator: HandSimulator, values: np.ndarray) -> np.ndarray:
     """Values of the tetrahedra's vertices that agree with those of the surface and are smooth inside."""
-    onto, (solver, scale) = _carrier(simulator)
+    onto, solver, scale = _carrier(simulator)
     return solver.solve(scale * (onto.T @ values))
-
-
-def _vertex_gradients(rest: np.ndarray, posed: np.ndarray, tets: np.ndarray) -> np.ndarray:
-    """(T, 3, 3) deformation gradients of vertices: the volume-weighted mean of their tetrahedra's."""
-    corners, moved = rest[tets], posed[tets]
-    edges = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
-    volumes = np.linalg.det(edges)
-    gradient = (moved[:, 1:] - moved[:, :1]).transpose(0, 2, 1) @ np.linalg.inv(edges)
-    total = np.zeros((len(rest), 3, 3))
-    weight = np.bincount(tets.ravel(), np.repeat(volumes, 4), minlength=len(rest))
-    for a in range(3):
-        for b in range(3):
-            values = np.repeat(volumes * gradient[:, a, b], 4)
-            total[:, a, b] = np.bincount(tets.ravel(), values, minlength=len(rest))
-    return total / weight[:, None, None]

@@ -31,8 +31,8 @@ def hand_stand(elbow: Float[np.ndarray, "3"], wrist: Float[np.ndarray, "3"]) -> 
     along /= np.linalg.norm(along)
     side = np.cross(along, [0.0, 1.0, 0.0])
     side /= np.linalg.norm(side)
-    # It reaches 2 cm above the place where the scanned arm begins.
-    centre = wrist - 0.125 * along + 0.05 * side
+    # It stands beside the last 4 cm of the arm that is scanned, and touches it or nearly.
+    centre = wrist - 0.105 * along + 0.045 * side
     turn = np.column_stack([side, np.cross(along, side), along])
     return _box(centre, turn, np.array([0.012, 0.03, 0.025]), _GREY)
 
@@ -91,7 +91,9 @@ def _box(centre: np.ndarray, turn: np.ndarray, half: np.ndarray, colour: np.ndar
     for axis in range(3):
         a, b = (axis + 1) % 3, (axis + 2) % 3
         counts = [max(2, int(np.ceil(2 * half[k] / _SPACING)) + 1) for k in (a, b)]
-        u, v = np.meshgrid(*(np.linspace(-half[k], half[k], n) for k, n in zip((a, b), counts, strict=True)), indexing="ij")
+        u, v = np.meshgrid(
+            *(np.linspace(-half[k], half[k], n) for k, n in zip((a, b), counts, strict=True)), indexing="ij"
+        )
         for sign in (1, -1):
             points = np.zeros((u.size, 3))
             points[:, a], points[:, b], points[:, axis] = u.ravel(), v.ravel(), sign * half[axis]
@@ -103,8 +105,12 @@ def _box(centre: np.ndarray, turn: np.ndarray, half: np.ndarray, colour: np.ndar
 
 def _ball(centre: np.ndarray, radius: float, colour: np.ndarray) -> SampledSurface:
     rows = max(8, int(np.pi * radius / _SPACING))
-    polar, around = np.meshgrid(np.linspace(0, np.pi, rows), np.linspace(0, 2 * np.pi, 2 * rows), indexing="ij")
-    points = np.stack([np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)], axis=-1)
+    polar, around = np.meshgrid(
+        np.linspace(0, np.pi, rows), np.linspace(0, 2 * np.pi, 2 * rows), indexing="ij"
+    )
+    points = np.stack(
+        [np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)], axis=-1
+    )
     turn = Rotation.from_rotvec([0.7, 0.2, 0.1]).as_matrix()
     faces = _grid_faces([rows, 2 * rows], flipped=False)
     return _vertex_sampled(centre + radius * points.reshape(-1, 3) @ turn.T, faces, colour)
@@ -112,7 +118,12 @@ def _ball(centre: np.ndarray, radius: float, colour: np.ndarray) -> SampledSurfa
 
 def _grid_faces(counts: list[int], *, flipped: bool) -> np.ndarray:
     index = np.arange(counts[0] * counts[1]).reshape(counts)
-    a, b, c, d = index[:-1, :-1].ravel(), index[1:, :-1].ravel(), index[1:, 1:].ravel(), index[:-1, 1:].ravel()
+    a, b, c, d = (
+        index[:-1, :-1].ravel(),
+        index[1:, :-1].ravel(),
+        index[1:, 1:].ravel(),
+        index[:-1, 1:].ravel(),
+    )
     faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
     return faces[:, ::-1] if flipped else faces
 

@@ -1,4 +1,4 @@
-"""Where a scanner's points fall on a surface: evenly spread, joined to triangles, unrelated to its vertices."""
+"""Where a scanner's points fall: evenly spread, joined to triangles, unrelated to the surface's vertices."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class SamplingPattern:
     def jittered(self, amount: float, generator: np.random.Generator) -> Float[np.ndarray, "n 3"]:
         """Barycentric weights moved at random within the faces, so that no two scans have the same points.
 
-        Every point goes ``amount`` (0..1) of the way to a random point of its face. Noise added to the weights and
+        Each point goes ``amount`` (0..1) of the way to a random point of its face. Noise added to weights and
         clipped was refused: it left 1 % of the points on vertices of the surface, whose places none may know.
         """
         target = generator.dirichlet(np.ones(3), size=len(self.faces))
@@ -45,11 +45,14 @@ class SamplingPattern:
 
 
 def sampling_pattern(
-    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], count: int, generator: np.random.Generator
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    count: int,
+    generator: np.random.Generator,
 ) -> SamplingPattern:
     """About ``count`` points at distances of one another, joined where their cells meet on the surface.
 
-    Many random candidates are joined to a graph by subdividing the faces; points are chosen among its nodes and
+    The subdivided faces make a graph of many candidates; points are chosen among its nodes and
     triangles are the dual of their geodesic cells, so that neighbouring fingers are never joined.
     """
     parts = _parts_per_side(len(faces), count)
@@ -61,9 +64,7 @@ def sampling_pattern(
     lengths = np.linalg.norm(nodes[edges[:, 0]] - nodes[edges[:, 1]], axis=1)
     graph = sp.coo_matrix((lengths, (edges[:, 0], edges[:, 1])), shape=(len(nodes),) * 2).tocsr()
     graph = graph.maximum(graph.T)
-    _, _, nearest = dijkstra(
-        graph, directed=False, indices=chosen, min_only=True, return_predecessors=True
-    )
+    _, _, nearest = dijkstra(graph, directed=False, indices=chosen, min_only=True, return_predecessors=True)
     corners = np.searchsorted(chosen, nearest)[small]
     a, b, c = corners.T
     dual = corners[(a != b) & (b != c) & (c != a)]

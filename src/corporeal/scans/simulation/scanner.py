@@ -23,9 +23,9 @@ _FEW_FACES = 40  # smaller islands are dropped, as the makers' software does
 
 @dataclass(frozen=True, eq=False)
 class SampledSurface:
-    """A surface to be scanned: vertices (V, 3) metres, faces (F, 3), colours (V, 3) 0-255, and where its points fall.
+    """A surface to be scanned: vertices (V, 3) metres, faces (F, 3), colours (V, 3) 0-255, and a pattern.
 
-    The pattern lives on the faces, so it follows a surface that deforms.
+    The pattern says where points fall. The pattern lives on the faces, so it follows a surface that deforms.
     """
 
     vertices: Float[np.ndarray, "V 3"]
@@ -58,7 +58,7 @@ class ScannerOptions:
 
 @dataclass(frozen=True, eq=False)
 class RawCapture:
-    """A meshed scan: points (N, 3) with noise in metres, faces (M, 3), colours (N, 3), points without noise."""
+    """A meshed scan: noisy points (N, 3) in metres, faces (M, 3), colours (N, 3), points without noise."""
 
     points: Float[np.ndarray, "N 3"]
     faces: Int[np.ndarray, "M 3"]
@@ -71,7 +71,10 @@ _UNITS = ((0.0, 15.0), (75.0, 5.0), (150.0, 25.0), (215.0, 5.0), (290.0, 20.0))
 
 
 def scan_surface(
-    hand: SampledSurface, props: Sequence[SampledSurface], options: ScannerOptions, generator: np.random.Generator
+    hand: SampledSurface,
+    props: Sequence[SampledSurface],
+    options: ScannerOptions,
+    generator: np.random.Generator,
 ) -> RawCapture:
     """Scan a hand and what stands beside it.
 
@@ -102,7 +105,9 @@ def scan_surface(
     place = np.empty(len(kept), dtype=np.int64)
     place[shuffle] = np.arange(len(kept))
     kept, faces = kept[shuffle], generator.permutation(place[faces])
-    return RawCapture(noisy[kept], faces, np.clip(np.round(shade[kept]), 0, 255).astype(np.uint8), points[kept])
+    return RawCapture(
+        noisy[kept], faces, np.clip(np.round(shade[kept]), 0, 255).astype(np.uint8), points[kept]
+    )
 
 
 def _sampled(
@@ -127,7 +132,9 @@ def stereo_units(centre: Float[np.ndarray, "3"], options: ScannerOptions) -> lis
     units = []
     for azimuth, elevation in np.deg2rad(np.array(_UNITS)):
         flat = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
-        eye = centre + options.distance * (np.cos(elevation) * flat + np.sin(elevation) * np.array([0, 0, 1.0]))
+        eye = centre + options.distance * (
+            np.cos(elevation) * flat + np.sin(elevation) * np.array([0, 0, 1.0])
+        )
         side = 0.5 * options.baseline * np.array([-flat[1], flat[0], 0.0])
         angle = 2 * np.arctan(0.17 / options.distance)
         pair = [
@@ -142,7 +149,7 @@ def _measured(
     points: np.ndarray, normals: np.ndarray, scene: np.ndarray, faces: np.ndarray, hand: np.ndarray,
     options: ScannerOptions,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Line of sight and cosine of the unit that measures a point best; zero where no unit's cameras both see it."""
+    """Line of sight and cosine of the unit that measures a point best; zero where none sees it twice."""
     best, direction = np.zeros(len(points)), np.zeros_like(points)
     limit = np.cos(np.deg2rad(options.steepest))
     centre = (hand.min(0) + hand.max(0)) / 2
@@ -165,7 +172,7 @@ def _measured(
 def _noise(
     triangles: np.ndarray, cosine: np.ndarray, seen: np.ndarray, rms: float, generator: np.random.Generator
 ) -> np.ndarray:
-    """Larger where the surface is seen obliquely, a little alike in neighbours, of the root mean square asked for."""
+    """Larger where the surface is seen obliquely, a little alike in neighbours; scaled to ``rms``."""
     edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     size = len(cosine)
     graph = sp.csr_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(size, size))
@@ -181,7 +188,9 @@ def _sensor_noise(count: int, generator: np.random.Generator) -> np.ndarray:
     return brightness + np.clip(_COLOUR_NOISE * generator.normal(size=(count, 3)), -2.5, 2.5)
 
 
-def _ragged(triangles: np.ndarray, seen: np.ndarray, share: float, generator: np.random.Generator) -> np.ndarray:
+def _ragged(
+    triangles: np.ndarray, seen: np.ndarray, share: float, generator: np.random.Generator
+) -> np.ndarray:
     """Points lost at the edge of holes."""
     mixed = triangles[seen[triangles].any(1) & ~seen[triangles].all(1)]
     edge = np.zeros(len(seen), dtype=bool)

@@ -21,7 +21,11 @@ def spread(points, order, radius, low, shape):
                 for ck in range(max(k - 1, 0), min(k + 2, shape[2])):
                     other = head[(ci * shape[1] + cj) * shape[2] + ck]
                     while other >= 0 and free:
-                        gap = (points[other, 0] - x) ** 2 + (points[other, 1] - y) ** 2 + (points[other, 2] - z) ** 2
+                        gap = (
+                            (points[other, 0] - x) ** 2
+                            + (points[other, 1] - y) ** 2
+                            + (points[other, 2] - z) ** 2
+                        )
                         if gap < square:
                             free = False
                         other = following[other]

@@ -1,4 +1,4 @@
-"""Quasi-static soft flesh on rigid bones: what a skinned hand lacks, bulges and creases that come from elasticity.
+"""Quasi-static soft flesh on rigid bones: the bulges and creases that a skinned hand lacks.
 
 The hand is a tetrahedral mesh; vertices near the bones move with them, the others settle where a nearly
 incompressible hyperelastic energy is smallest, and skin pushes skin apart where it meets.
@@ -15,10 +15,13 @@ from jaxtyping import Float, Int
 
 from corporeal.geometry.normals import vertex_normals
 from corporeal.scans.simulation import flesh_kernels as kernels
+from corporeal.scans.simulation.tetrahedra import boundary_faces, edge_matrices, laplacian
 from corporeal.solve.quasi_newton import QuasiNewtonOptions, Settled, descend
 from corporeal.solve.sparse import Factorisation, factorised
 
 _MM = 1e3
+# Skin meets skin along the normal; within so many millimetres any direction will do.
+_ALIGNED, _CLOSE = 0.75, 0.3
 
 
 @dataclass(frozen=True)
@@ -30,17 +33,17 @@ class FleshOptions:
         thickness: distance in metres at which skin begins to push skin away.
         contact: pressure per depth, in shear moduli per millimetre.
         rest_gap: skin closer than this at rest (metres) does not push itself.
-        increments: steps from rest to the full pose; fingers cannot pass through one another within a small one.
+        increments: steps from rest to the full pose, so small that fingers cannot pass through one another.
         iterations: most solver steps at the full pose; half as many at the others.
         tolerance: metres, largest movement of a vertex in a step below which the flesh has settled.
     """
 
-    poisson: float = 0.45
+    poisson: float = 0.47
     thickness: float = 0.3e-3
-    contact: float = 6.0
+    contact: float = 20.0
     rest_gap: float = 12e-3
-    increments: int = 3
-    iterations: int = 150
+    increments: int = 4
+    iterations: int = 240
     tolerance: float = 0.02e-3
 
 
@@ -94,8 +97,7 @@ class SoftBody:
         self._rest = _MM * np.ascontiguousarray(rest)
         self._tets = np.ascontiguousarray(tets, dtype=np.int64)
         self._weights, self._bone = weights, bone
-        corners = self._rest[self._tets]
-        edges = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
+        edges = edge_matrices(self._rest, self._tets)
         volumes = np.linalg.det(edges) / 6
         if not (volumes > 0).all():
             raise ValueError(f"tets: {int((volumes <= 0).sum())} elements are flat or inverted at rest")
@@ -112,11 +114,7 @@ class SoftBody:
     @cached_property
     def _stiffness(self) -> Factorisation:
         """The stand-in for the Hessian: a Laplacian of the free vertices."""
-        gradients = np.concatenate([-self._inverse_rest.sum(1, keepdims=True), self._inverse_rest], axis=1)
-        local = np.einsum("eia,eja,e->eij", gradients, gradients, self._volumes)
-        rows, columns = np.repeat(self._tets, 4, axis=1), np.tile(self._tets, (1, 4))
-        size = len(self._rest)
-        matrix = sp.coo_matrix((local.ravel(), (rows.ravel(), columns.ravel())), shape=(size, size)).tocsr()
+        matrix = laplacian(self._rest, self._tets)
         free = matrix[self._free][:, self._free]
         return factorised(sp.csr_matrix((2 * self._mu + self._lam) * free))
 
@@ -144,16 +142,15 @@ class SoftBody:
         _, smallest = kernels.elastic_forces(
             x, self._tets, self._inverse_rest, self._volumes, self._mu, self._lam, gradient
         )
-        corners = x[self._tets]
-        volume = np.linalg.det(corners[:, 1:] - corners[:, :1]).sum() / 6
+        volume = np.linalg.det(edge_matrices(x, self._tets)).sum() / 6
         converged = settled is not None and settled.converged
         ratio, deepest = float(volume / self._volumes.sum()), self._skin.deepest(x, self.options) / _MM
         return PosedFlesh(x / _MM, float(smallest), deepest, ratio, iterations, converged)
 
     def _guess(self, x: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-        """Flesh carried on from one pose to the next by its bones; fixed vertices exactly where they belong."""
+        """Flesh carried on from one pose to the next by its bones; fixed vertices where they belong."""
         change = after @ np.linalg.inv(before)
-        change[:, :3, 3] *= _MM
+        change[:, :3, 3] = _MM * change[:, :3, 3]
         guess = _carried(x, self._weights, change)
         fixed = self._bone >= 0
         motion = after[self._bone[fixed]]
@@ -171,7 +168,11 @@ class SoftBody:
             value, _ = kernels.elastic_forces(
                 whole, self._tets, self._inverse_rest, self._volumes, self._mu, self._lam, gradient
             )
-            value += kernels.contact_forces(whole, *contacts, _MM * options.thickness, gradient)
+            vertices, corners, weights, normals, stiffness = contacts
+            thickness = _MM * options.thickness
+            value += kernels.contact_forces(
+                whole, vertices, corners, weights, normals, stiffness, thickness, gradient
+            )
             return value, gradient[free]
 
         def refresh(points: np.ndarray) -> bool:
@@ -191,7 +192,7 @@ class _Skin:
     """The boundary of the tetrahedra, in millimetres, and where it meets itself."""
 
     def __init__(self, rest: np.ndarray, tets: np.ndarray, part: np.ndarray) -> None:
-        self._faces = _boundary_faces(tets)
+        self._faces = boundary_faces(tets)
         self._used, local = np.unique(self._faces, return_inverse=True)
         self._local = local.reshape(-1, 3)
         self._rest = rest[self._used]
@@ -221,6 +222,11 @@ class _Skin:
         corners = self._local[face[pairs]]
         normal = np.einsum("pi,pia->pa", weights[pairs], normals[corners])
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+        # A vertex that lies beside the end of a face's neighbourhood has not met it.
+        offset = points[pairs] - np.einsum("pi,pia->pa", weights[pairs], points[corners])
+        aligned = np.abs(np.einsum("pa,pa->p", normal, offset))
+        met = aligned > _ALIGNED * np.linalg.norm(offset, axis=1) - _CLOSE
+        pairs, corners, normal = pairs[met], corners[met], normal[met]
         stiffness = options.contact * self._areas[pairs]
         return self._used[pairs], self._used[corners], weights[pairs], normal, stiffness
 
@@ -234,12 +240,3 @@ class _Skin:
 def _carried(points: np.ndarray, weights: np.ndarray, motions: np.ndarray) -> np.ndarray:
     blended = np.einsum("vk,kab->vab", weights, motions[:, :3])
     return np.einsum("vab,vb->va", blended[:, :, :3], points) + blended[:, :, 3]
-
-
-def _boundary_faces(tets: np.ndarray) -> np.ndarray:
-    """Faces of one tetrahedron only, counter-clockwise from outside."""
-    sides = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
-    faces = tets[:, sides].reshape(-1, 3)
-    key = np.sort(faces, axis=1)
-    _, first, count = np.unique(key, axis=0, return_index=True, return_counts=True)
-    return faces[np.sort(first[count == 1])]
