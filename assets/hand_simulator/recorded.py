@@ -22,6 +22,7 @@ from corporeal.model.files import open_model
 
 _OUT = _ROOT / "src/corporeal/scans/simulation/recorded_poses.npz"
 _KEPT = 400
+_SPREAD, _TWIST = 32.0, 50.0
 
 
 def main() -> None:
@@ -34,13 +35,9 @@ def main() -> None:
     axes = np.concatenate([_axes(joints[3 * f + 1 : 3 * f + 4], tips[f], thumb=f == 4) for f in range(5)])
     turned = Rotation.from_rotvec(poses.reshape(-1, 3)).as_matrix().reshape(-1, 15, 3, 3)
     own = axes @ turned @ axes.transpose(0, 2, 1)
-    spread, flexion, twist = np.moveaxis(
-        Rotation.from_matrix(own.reshape(-1, 3, 3)).as_euler("YXZ", degrees=True).reshape(-1, 15, 3), 2, 0
-    )
-    # Of the two triples that give a rotation, the one with little spread: fingers bend beyond 90 degrees.
-    beyond = np.abs(spread) > 90
-    spread, twist = (np.where(beyond, (a + 360) % 360 - 180, a) for a in (spread, twist))
-    angles = np.stack([np.where(beyond, 180 - flexion, flexion), spread, twist], axis=2)
+    angles = Rotation.from_matrix(own.reshape(-1, 3, 3)).as_euler("XYZ", degrees=True).reshape(-1, 15, 3)
+    # What the tracker got wrong: joints turned aside or about themselves as none can.
+    angles = angles[(np.abs(angles[:, :, 1]) < _SPREAD).all(1) & (np.abs(angles[:, :, 2]) < _TWIST).all(1)]
     kept = _most_different(angles.reshape(len(angles), -1), _KEPT)
     buffer = io.BytesIO()
     np.savez_compressed(buffer, hundredths_of_degree=np.round(100 * angles[kept]).astype(np.int16))

@@ -43,7 +43,7 @@ def axes_at_rest(
             zero = _frame(bone, thumb_nail(chain)) if thumb else _frame(flat, _BACK)
             following = np.eye(3) if thumb else _shortest_turn(flat, bone)
             local = zero @ turned.T @ following @ zero.T
-            spread, flexion, twist = Rotation.from_matrix(local).as_euler("YXZ", degrees=True)
+            flexion, spread, twist = Rotation.from_matrix(local).as_euler("XYZ", degrees=True)
             turned = following
             axes[2 + 3 * finger + k] = zero @ turned.T
             angles[2 + 3 * finger + k] = flexion, spread, twist

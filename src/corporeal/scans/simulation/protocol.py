@@ -26,8 +26,8 @@ _FIST: Bend = (70, 86, 38)
 Thumb = tuple[float | int, float | int, float | int, float | int, float | int]
 _THUMB_REST: Thumb = (8, 0, 0, 5, 5)
 _THUMB_OVER: Thumb = (28, -14, 4, 32, 42)
-_LIMITS_LOW = np.array([-25.0, -22, -35])
-_LIMITS_HIGH = np.array([108.0, 25, 35])
+_LIMITS_LOW = np.array([-25.0, -32, -50])
+_LIMITS_HIGH = np.array([108.0, 32, 50])
 _MOST_CURLED = 205.0
 # How much two performances of one pose differ: degrees shared by the hand, by a finger, and of each joint.
 _SHARED, _FINGER, _JOINT = 3.0, 4.0, 2.5
@@ -84,7 +84,7 @@ def _exploration() -> dict[str, Float[np.ndarray, "17 3"]]:
         "two-fingers": _pose({"rl": _FIST}, (28, -12, 6, 30, 40), spread={"i": 8, "m": -6}),
         "horns": _pose({"mr": _FIST}, (28, -12, 6, 30, 40), spread={"i": 4, "l": -8}),
         "thumb-in": _pose(thumb=(44, 2, 14, 30, 45)),
-        "thumb-up": _pose(rest=(78, 92, 50), thumb=(-16, 6, 0, -6, -14)),
+        "thumb-up": _pose(rest=(72, 88, 42), thumb=(-16, 6, 0, -6, -14)),
         "oppose-index": _pose({"i": (46, 46, 24), "mrl": (22, 24, 12)}, (31, 12, 16, 14, 22)),
         "oppose-middle": _pose(
             {"m": (54, 52, 26), "i": (30, 24, 12), "rl": (30, 28, 14)}, (37, 11, 20, 18, 24)
@@ -134,7 +134,7 @@ def _grasps() -> dict[str, Float[np.ndarray, "17 3"]]:
             {"imrl": (20, 44, 28)}, (12, 20, 6, 6, 18), {"i": 15, "m": 4, "r": -8, "l": -18}
         ),
         "precision-sphere": _pose(
-            {"imrl": (34, 40, 22)}, (26, 16, 14, 8, 16), {"i": 12, "m": 3, "r": -7, "l": -16}
+            {"imrl": (42, 26, 12)}, (30, 16, 14, 4, 10), {"i": 12, "m": 3, "r": -7, "l": -16}
         ),
         "tripod": _pose({"i": (44, 42, 20), "m": (50, 42, 20), "rl": (40, 48, 26)}, (34, 12, 18, 12, 18)),
         "fixed-hook": _pose({"imrl": (26, 84, 44)}, (6, -6, 0, 8, 10)),
@@ -178,6 +178,8 @@ def protocol_poses() -> tuple[HandPose, ...]:
     """The 51 poses: 20 that explore the joints, then 31 grasps; names begin with their number."""
     named = [(name, "explore", angles) for name, angles in _exploration().items()]
     named += [(name, "grasp", angles) for name, angles in _grasps().items()]
+    for _, _, angles in named:
+        angles.setflags(write=False)
     return tuple(
         HandPose(f"p{number:02d}-{name}", group, angles)
         for number, (name, group, angles) in enumerate(named, start=1)

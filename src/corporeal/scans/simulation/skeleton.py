@@ -12,7 +12,10 @@ from corporeal.scans.simulation.files import HandSimulator
 def turns(
     angles: Float[np.ndarray, "17 3"], axes: Float[np.ndarray, "17 3 3"]
 ) -> Float[np.ndarray, "17 3 3"]:
-    """Rotation of every bone from flexion, spread and twist: twist first, then flexion, then spread.
+    """Rotation of every bone from flexion, spread and twist: twist first, then spread, then flexion.
+
+    In this order no triple is singular short of a spread of 90 degrees; with spread last, a knuckle bent by 90
+    degrees had no angles of its own.
 
     Args:
         angles: degrees.
@@ -21,7 +24,7 @@ def turns(
     flexion, spread, twist = (
         Rotation.from_rotvec(np.deg2rad(angles[:, k, None]) * axes[:, k]) for k in range(3)
     )
-    return (spread * flexion * twist).as_matrix()
+    return (flexion * spread * twist).as_matrix()
 
 
 def bone_transforms(
