@@ -42,6 +42,7 @@ assets: $(VENV)/.demo
 	.venv-assets/bin/python assets/build.py
 	$(BIN)/python assets/calibrate_detector.py
 	.venv-assets/bin/python assets/demo/build_scan.py
+	.venv-assets/bin/python assets/hand_simulator/build.py
 
 $(VENV)/.demo: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
