@@ -124,9 +124,9 @@ def test_bending_the_other_way_is_the_mirror_image(bar):
 
 
 def test_two_fingers_press_on_each_other_without_passing_through():
-    """Two separate bars pushed 4 mm into one another."""
+    """Two bars 7 mm apart, pushed 10.5 mm against one another."""
     points, tets = block((12, 4, 4))
-    gap = np.array([0.0007, 0.0009, 0.014])
+    gap = np.array([0.0007, 0.0009, 0.019])
     both = np.vstack([points, points + gap])
     cells = np.vstack([tets, tets + len(points)])
     part = np.repeat([0, 1], len(points))
@@ -134,7 +134,7 @@ def test_two_fingers_press_on_each_other_without_passing_through():
     radius = np.hypot(points[:, 1], points[:, 2])
     bone = np.where(np.tile(radius < 3.1e-3, 2), part, -1)
     motions = np.tile(np.eye(4), (4, 2, 1, 1))
-    motions[:, 1, 2, 3] = -0.006 * np.arange(1, 5) / 4
+    motions[:, 1, 2, 3] = -0.0105 * np.arange(1, 5) / 4
     core = np.abs(points[:, 0]) < 6e-3
 
     def lowest_of_the_upper(posed):

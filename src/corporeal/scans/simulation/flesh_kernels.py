@@ -138,7 +138,7 @@ def cell_lists(points, low, size, shape):
 
 
 @njit(cache=True)
-def contact_pairs(skin, points, normals, rest_gap, reach, grid):
+def contact_pairs(skin, points, normals, gaps, reach, grid):
     """For every surface point, the nearest face of skin that is far from it at rest and looks against it.
 
     Within one part (a finger, the palm) only skin that looked the same way at rest can meet: palm side on
@@ -161,9 +161,10 @@ def contact_pairs(skin, points, normals, rest_gap, reach, grid):
                     for m in range(starts[key], starts[key + 1]):
                         j = members[m]
                         gap = squared_distance(points[i], points[j])
-                        if gap >= best or squared_distance(rest[i], rest[j]) < rest_gap * rest_gap:
-                            continue
                         same_part = parts[i] == parts[j]
+                        apart = gaps[0] if same_part else gaps[1]
+                        if gap >= best or squared_distance(rest[i], rest[j]) < apart * apart:
+                            continue
                         through = same_part and rest_normals[i] @ rest_normals[j] < 0.0
                         if not through and normals[i] @ normals[j] <= 0.3:
                             nearest, best = j, gap

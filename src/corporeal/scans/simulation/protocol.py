@@ -21,7 +21,7 @@ INDEX, MIDDLE, LITTLE, RING, THUMB = 2, 5, 8, 11, 14
 _FINGERS = {"i": INDEX, "m": MIDDLE, "r": RING, "l": LITTLE}
 Bend = tuple[float | int, float | int, float | int]
 _STRAIGHT: Bend = (0, 0, 0)
-_FIST: Bend = (70, 86, 38)
+_FIST: Bend = (66, 84, 36)
 # Flexion, spread and twist of the thumb's first bone, then flexion of the other two.
 Thumb = tuple[float | int, float | int, float | int, float | int, float | int]
 _THUMB_REST: Thumb = (8, 0, 0, 5, 5)

@@ -12,7 +12,7 @@ from corporeal.scans.simulation.files import HandSimulator
 def turns(
     angles: Float[np.ndarray, "17 3"], axes: Float[np.ndarray, "17 3 3"]
 ) -> Float[np.ndarray, "17 3 3"]:
-    """Rotation of every bone from flexion, spread and twist: twist first, then spread, then flexion.
+    """Rotation of every bone from its angles: twist first, then spread, then flexion.
 
     In this order no triple is singular short of a spread of 90 degrees; with spread last, a knuckle bent by 90
     degrees had no angles of its own.

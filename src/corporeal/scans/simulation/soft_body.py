@@ -32,7 +32,8 @@ class FleshOptions:
         poisson: Poisson's ratio; 0.5 would be incompressible and locks linear tetrahedra.
         thickness: distance in metres at which skin begins to push skin away.
         contact: pressure per depth, in shear moduli per millimetre.
-        rest_gap: skin closer than this at rest (metres) does not push itself.
+        rest_gap: skin of one part closer than this at rest (metres) does not push itself.
+        part_gap: nor does that of two parts closer than this: they grow together there.
         increments: steps from rest to the full pose, so small that fingers cannot pass through one another.
         iterations: most solver steps at the full pose; half as many at the others.
         tolerance: metres, largest movement of a vertex in a step below which the flesh has settled.
@@ -42,6 +43,7 @@ class FleshOptions:
     thickness: float = 0.3e-3
     contact: float = 20.0
     rest_gap: float = 12e-3
+    part_gap: float = 5e-3
     increments: int = 4
     iterations: int = 240
     tolerance: float = 0.02e-3
@@ -214,9 +216,10 @@ class _Skin:
         low = points.min(0) - 1e-6
         shape = ((points.max(0) - low) / reach).astype(np.int64) + 1
         starts, members = kernels.cell_lists(points, low, reach, shape)
+        gaps = (_MM * options.rest_gap, _MM * options.part_gap)
         own = (self._rest, self._rest_normals, self._parts, self._face_starts, self._face_lists, self._local)
         face, weights = kernels.contact_pairs(
-            own, points, normals, _MM * options.rest_gap, reach, (low, shape, starts, members)
+            own, points, normals, gaps, reach, (low, shape, starts, members)
         )
         pairs = np.flatnonzero(face >= 0)
         corners = self._local[face[pairs]]
