@@ -43,7 +43,7 @@ def test_motions_are_rigid_and_keep_the_joints_together(simulator, rng):
 
 
 def test_angles_are_turns_in_the_axes_of_the_flat_hand(simulator, rng):
-    """R = Rot(n, spread) Rot(f, flexion) Rot(d, twist) of every bone against its parent, both seen flat."""
+    """R = Rot(f, flexion) Rot(n, spread) Rot(d, twist) of every bone against its parent, both seen flat."""
     flat = bone_transforms(simulator, simulator.joints, np.zeros((17, 3)))[:, :3, :3]
     flat_axes = np.einsum("bij,bkj->bki", flat, simulator.axes)
     angles = rng.uniform(-50, 50, (17, 3))
@@ -53,7 +53,7 @@ def test_angles_are_turns_in_the_axes_of_the_flat_hand(simulator, rng):
         own = turned[simulator.parents[bone]].T @ turned[bone]
         f, n, d = flat_axes[bone]
         flexion, spread, twist = np.deg2rad(angles[bone])
-        expected = Rotation.from_rotvec(spread * n) * Rotation.from_rotvec(flexion * f)
+        expected = Rotation.from_rotvec(flexion * f) * Rotation.from_rotvec(spread * n)
         expected = expected * Rotation.from_rotvec(twist * d)
         np.testing.assert_allclose(own, expected.as_matrix(), atol=1e-12)
 
