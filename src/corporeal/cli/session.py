@@ -101,7 +101,7 @@ def run_session(call: SessionCall, model: SurfaceModel) -> int:
 
 
 def _plan(call: SessionCall, model: SurfaceModel, session: CaptureSession, watcher: Watcher) -> SessionPlan:
-    options = RegistrationOptions(correctives=call.correctives)
+    options = dataclasses.replace(RegistrationOptions.for_sessions(), correctives=call.correctives)
     unit = session.unit if call.unit == "auto" else call.unit
     setup = RegistrationSetup(
         model=model,

@@ -1,8 +1,12 @@
 """Faults do what they say, and fall on the same scans each time."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+import trimesh
 
+from corporeal.export.meshes import write_ply
 from corporeal.scans.simulation.faults import FAULTS, choose_fault, spoil, spoiled_bytes
 from corporeal.scans.simulation.scanner import RawCapture
 
@@ -43,13 +47,24 @@ def test_half_keeps_half_with_its_own_faces(capture: RawCapture, rng: np.random.
     assert all(tuple(row) in rows for row in half.points)
 
 
-def test_empty_and_nan(capture: RawCapture, rng: np.random.Generator) -> None:
+def test_empty_has_nothing(capture: RawCapture, rng: np.random.Generator) -> None:
     empty = spoil(capture, "empty", rng)
     assert len(empty.points) == len(empty.faces) == len(empty.colours) == 0
-    assert np.isnan(spoil(capture, "nan", rng).points).all()
+
+
+def test_nan_spoils_the_coordinates_of_a_file_and_nothing_else(capture: RawCapture, tmp_path: Path) -> None:
+    path = tmp_path / "scan.ply"
+    write_ply(path, capture.points.astype(np.float32), capture.faces, colours=capture.colours)
+    whole = path.read_bytes()
+    path.write_bytes(spoiled_bytes(whole, "nan"))
+    spoilt = trimesh.load(path, process=False)
+    assert np.isnan(spoilt.vertices).all()
+    np.testing.assert_array_equal(spoilt.faces, capture.faces)
+    np.testing.assert_array_equal(spoilt.visual.vertex_colors[:, :3], capture.colours)
 
 
 def test_truncated_spoils_bytes_and_nothing_else(capture: RawCapture, rng: np.random.Generator) -> None:
     assert spoil(capture, "truncated", rng) is capture
+    assert spoil(capture, "nan", rng) is capture
     assert spoiled_bytes(b"0123456789", "truncated") == b"01234"
     assert spoiled_bytes(b"0123456789", "moved") == b"0123456789"

@@ -13,6 +13,7 @@ from corporeal.scans.simulation.scanner import RawCapture
 Fault = Literal["", "moved", "half", "empty", "nan", "truncated"]
 FAULTS: tuple[Fault, ...] = ("moved", "half", "empty", "nan", "truncated")
 _GHOST = (8e-3, 20e-3)  # metres the hand moved during the capture
+_PLY_SIZES = {b"float": 4, b"float32": 4, b"uchar": 1, b"uint8": 1}
 _GHOST_TURN = np.deg2rad(12.0)
 
 
@@ -25,21 +26,38 @@ def choose_fault(name: str, seed: int, one_in: int) -> Fault:
 
 
 def spoil(capture: RawCapture, fault: Fault, generator: np.random.Generator) -> RawCapture:
-    """The capture with its fault; "truncated" is done to the file."""
+    """The capture with its fault; "nan" and "truncated" are done to the file."""
     if fault == "moved":
         return _moved(capture, generator)
     if fault == "half":
         return _half(capture, generator)
     if fault == "empty":
         return RawCapture(capture.points[:0], capture.faces[:0], capture.colours[:0], capture.clean[:0])
-    if fault == "nan":
-        return RawCapture(np.full_like(capture.points, np.nan), capture.faces, capture.colours, capture.clean)
     return capture
 
 
 def spoiled_bytes(content: bytes, fault: Fault) -> bytes:
-    """A file's content with its fault."""
-    return content[: len(content) // 2] if fault == "truncated" else content
+    """A binary PLY's content with its fault: cut in its middle, or with coordinates that are no numbers."""
+    if fault == "truncated":
+        return content[: len(content) // 2]
+    if fault == "nan":
+        return _without_numbers(content)
+    return content
+
+
+def _without_numbers(content: bytes) -> bytes:
+    """Coordinates (the first three properties, floats) of all vertices replaced; no writer would do it."""
+    begin = content.index(b"end_header\n") + len(b"end_header\n")
+    vertex = content[:begin].split(b"element vertex ")[1].split(b"element")[0].split(b"\n")
+    sizes = [_PLY_SIZES[line.split()[1]] for line in vertex[1:] if line.startswith(b"property")]
+    count, stride = int(vertex[0]), sum(sizes)
+    block = (
+        np.frombuffer(content, dtype=np.uint8, count=count * stride, offset=begin)
+        .reshape(count, stride)
+        .copy()
+    )
+    block[:, :12] = np.frombuffer(np.full(3, np.nan, dtype="<f4").tobytes(), dtype=np.uint8)
+    return content[:begin] + block.tobytes() + content[begin + count * stride :]
 
 
 def _moved(capture: RawCapture, generator: np.random.Generator) -> RawCapture:

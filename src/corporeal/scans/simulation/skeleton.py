@@ -14,8 +14,8 @@ def turns(
 ) -> Float[np.ndarray, "17 3 3"]:
     """Rotation of every bone from its angles: twist first, then spread, then flexion.
 
-    In this order no triple is singular short of a spread of 90 degrees; with spread last, a knuckle bent by 90
-    degrees had no angles of its own.
+    In this order no triple is singular short of a spread of 90 degrees; with spread last, a knuckle bent by
+    90 degrees had no angles of its own.
 
     Args:
         angles: degrees.
