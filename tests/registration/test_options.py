@@ -9,4 +9,4 @@ def test_options_for_sessions_only_save_points_and_steps():
         for one, other in zip(getattr(usual, stages), getattr(session, stages), strict=True):
             assert other.points < one.points and other.iterations < one.iterations
             assert dataclasses.replace(other, points=one.points, iterations=one.iterations) == one
-    assert dataclasses.replace(session, surface=usual.surface, free=usual.free) == usual
+    assert dataclasses.replace(session, surface=usual.surface, free=usual.free, bounds=usual.bounds) == usual

@@ -74,6 +74,11 @@ class SurfaceTree:
         self.rebuild_count = -1
         self._rebuild(self._checked(vertices))
 
+    @property
+    def faces(self) -> Int[np.ndarray, "F 3"]:
+        """The faces that it was built for."""
+        return self._faces
+
     def refit(self, vertices: Float[np.ndarray, "V 3"]) -> None:
         """Move the tree to new places of the same vertices.
 

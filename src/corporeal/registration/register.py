@@ -14,11 +14,12 @@ from jaxtyping import Float
 from corporeal.model.mirror import mirror_model
 from corporeal.model.surface_model import Side, SurfaceModel
 from corporeal.registration.evidence import LandmarkEvidence
-from corporeal.registration.judgement import judge
+from corporeal.registration.judgement import verdict_of
 from corporeal.registration.measures import beyond_cut, scan_to_mesh
 from corporeal.registration.options import RegistrationOptions
 from corporeal.registration.registration import FailedRegistration, Registration
 from corporeal.registration.search import search_starts
+from corporeal.registration.signals import measured_signals
 from corporeal.registration.stages import Fitter, MeasuredLandmarks
 from corporeal.registration.starts import average_scale, landmark_start, start_poses
 from corporeal.registration.target import Target
@@ -36,8 +37,17 @@ _MIRRORED: WeakKeyDictionary[SurfaceModel, SurfaceModel] = WeakKeyDictionary()
 
 
 def model_of_side(model: SurfaceModel, side: Side | None) -> SurfaceModel:
-    """The model itself, or its mirror image where the other side is asked for."""
-    if side is None or model.side is None or model.side == side:
+    """The model itself, or its mirror image where the other side is asked for.
+
+    Raises:
+        ValueError: a side is asked of a model that has none.
+    """
+    if side is not None and model.side is None:
+        raise ValueError(
+            f"side: the model {model.name!r} does not say which side it is, so that {side!r} cannot be made "
+            "of it; leave --side out, or give a model with a side"
+        )
+    if side is None or model.side == side:
         return model
     mirrored = _MIRRORED.get(model)
     if mirrored is None:
@@ -206,10 +216,12 @@ def _measured(
     scan = dataclasses.replace(scan, repairs=fitter.target.measured.repairs)
     posed = fitter.fields.evaluated(vector)
     beyond = beyond_cut(scan.points, model.cut, posed)
-    distances = scan_to_mesh(fitter.surface, vertices, scan.points, beyond)
+    normals = None if scan.is_point_cloud else scan.normals
+    distances = scan_to_mesh(fitter.surface, vertices, scan.points, beyond, normals)
     model_distances = scan_to_mesh(fitter.surface, posed.vertices, scan.points, beyond)
     parameters = fitter.fields.parameters(vector)
-    verdict = judge(fitter, vector, vertices, distances, model_distances)
+    signals = measured_signals(fitter, vector, vertices, distances, model_distances)
+    verdict = verdict_of(signals, fitter.options.bounds)
     landmarks: dict[str, np.ndarray] = {}
     for landmark_set in list(model.landmarks.values())[:1]:
         positions = landmark_set.positions(posed.vertices, posed.joints)
