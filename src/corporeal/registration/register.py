@@ -16,6 +16,7 @@ from corporeal.model.surface_model import Side, SurfaceModel
 from corporeal.registration.evidence import LandmarkEvidence
 from corporeal.registration.judgement import verdict_of
 from corporeal.registration.measures import beyond_cut, scan_to_mesh
+from corporeal.registration.limbs import limbs_tried
 from corporeal.registration.options import RegistrationOptions
 from corporeal.registration.registration import FailedRegistration, Registration
 from corporeal.registration.search import search_starts
@@ -32,6 +33,7 @@ OnStep = Callable[[str], None]
 _CLEAR_SIDE = 0.15
 # A start with fewer scan points on the hand's side of the wrist has nothing to fit to.
 _FEWEST_POINTS = 100
+_STATUSES = ("ok", "doubtful", "failed")
 # Kept as long as the model is: a session registers thousands of scans with two models.
 _MIRRORED: WeakKeyDictionary[SurfaceModel, SurfaceModel] = WeakKeyDictionary()
 
@@ -69,7 +71,7 @@ def register(
         scan: in metres; with the unit "free" its scale is estimated from the landmarks or by search.
         model: a model of either side; it is mirrored where the scan is of the other one.
         evidence: landmarks; None searches over orientation (and side) by surface distance.
-        side: "left" or "right" where it is known.
+        side: "left" or "right" where it is known; for a model without a side it is left aside, and noted.
         options: stages and weights.
         on_step: told the name of every stage as it begins.
 
@@ -78,11 +80,28 @@ def register(
     """
     clock = _Clock(on_step or (lambda _: None))
     options = options or RegistrationOptions()
+    known = None if model.side is None else side
     with clock.stage("start"):
-        begun = _best_start(scan, model, evidence, side, options)
+        begun = _best_start(scan, model, evidence, known, options)
     if isinstance(begun, str):
         return FailedRegistration(scan, begun, clock.seconds)
     fitter, vector = begun
+    result = _through_all_stages(fitter, vector, clock)
+    for _ in range(options.second_starts):
+        if result.status == "ok":
+            break
+        with clock.stage("second start"):
+            again = _second_start(fitter, result)
+        if again is None:
+            break
+        result = _better(result, _through_all_stages(fitter, again, clock))
+    return result
+
+
+def _through_all_stages(
+    fitter: Fitter, vector: Float[np.ndarray, " Q"], clock: _Clock
+) -> Registration | FailedRegistration:
+    options = fitter.options
     with clock.stage("surface"):
         for number, stage in enumerate(options.surface[1:], start=2):
             fitter, vector = _at_average_size(fitter, vector)
@@ -99,6 +118,33 @@ def register(
             vector, vertices = solution.state.parameters, solution.state.free
     with clock.stage("measure"):
         return _measured(fitter, vector, vertices, clock.seconds)
+
+
+def _second_start(
+    fitter: Fitter, result: Registration | FailedRegistration
+) -> Float[np.ndarray, " Q"] | None:
+    """For a fit that is not good: limbs tried in other poses, and the wide stage again."""
+    if isinstance(result, FailedRegistration) or fitter.target.scan.unit.name == "free":
+        return None
+    parameters = result.parameters
+    vector = np.concatenate(
+        [parameters.translation, parameters.pose.ravel(), parameters.shape[: fitter.fields.shape_count]]
+    )
+    solution = fitter.fit_surface(limbs_tried(fitter, vector), fitter.options.surface[0])
+    return solution.state.parameters if solution.outcome.usable else None
+
+
+def _better(
+    first: Registration | FailedRegistration, second: Registration | FailedRegistration
+) -> Registration | FailedRegistration:
+    """The one with the better status; of equals, the one that the scan lies closer to."""
+    if isinstance(first, FailedRegistration) or isinstance(second, FailedRegistration):
+        return first if isinstance(second, FailedRegistration) else second
+    ranks = [_STATUSES.index(result.status) for result in (first, second)]
+    if ranks[0] != ranks[1]:
+        return first if ranks[0] < ranks[1] else second
+    distances = [result.distances.summary_mm()["mean"] for result in (first, second)]
+    return second if distances[1] < distances[0] else first
 
 
 def _failed(fitter: Fitter, stage: str, solution: Solution, clock: _Clock) -> FailedRegistration:
@@ -257,4 +303,4 @@ class _Clock:
         try:
             yield
         finally:
-            self.seconds[name] = time.perf_counter() - begun
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - begun

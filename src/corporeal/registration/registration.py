@@ -32,6 +32,7 @@ class Registration:
         signals: name -> what the verdict was measured by.
         correctives: whether pose correctives were used.
         seconds: stage name -> wall time.
+        notes: sentences that say what was done about the side.
     """
 
     scan: Scan
@@ -47,6 +48,7 @@ class Registration:
     signals: dict[str, float] = field(default_factory=dict)
     correctives: bool = True
     seconds: dict[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     @property
     def side(self) -> Side | None:

@@ -32,7 +32,7 @@ def registered_row(
     scan: str, result: Registration, seconds: dict[str, float], notes: list[str]
 ) -> dict[str, Any]:
     """The row of a registration, whatever its status."""
-    notes = [*result.scan.repairs, *notes, *scale_notes(result.scan)]
+    notes = [*result.scan.repairs, *notes, *result.notes, *scale_notes(result.scan)]
     stages = {f"fit: {name}": value for name, value in result.seconds.items()}
     return failed_row(scan, result.reason, seconds | stages, notes) | {
         "status": result.status,
