@@ -121,6 +121,7 @@ class RegistrationOptions:
         surface: surface stages, from wide to narrow.
         free: free-vertex stages, from wide to narrow.
         bounds: what the verdict allows.
+        second_starts: how often a fit that is not good is begun again with limbs in other poses.
     """
 
     shape_count: int = 30
@@ -131,6 +132,7 @@ class RegistrationOptions:
     surface: tuple[SurfaceStage, ...] = (_WIDE, _MIDDLE, _NARROW)
     free: tuple[FreeStage, ...] = (_FREE_WIDE, _FREE_NARROW)
     bounds: Bounds = field(default_factory=Bounds)
+    second_starts: int = 1
 
     @classmethod
     def for_sessions(cls) -> RegistrationOptions:
