@@ -97,7 +97,8 @@ def limbs_of(model: SurfaceModel) -> list[Int[np.ndarray, " n"]]:
 def known_poses(model: SurfaceModel) -> list[Float[np.ndarray, "K 3"]]:
     """Start poses and the means of the pose mixture, root unrotated.
 
-    The components' longest axes, 1.5 deviations either way, were tried too: three times the work, no fit mended.
+    The components' longest axes, 1.5 deviations either way, were tried too: three times the work, and no
+    fit more was mended.
     """
     poses = start_poses(model)
     for block in model.pose_blocks:

@@ -15,8 +15,8 @@ from corporeal.model.mirror import mirror_model
 from corporeal.model.surface_model import Side, SurfaceModel
 from corporeal.registration.evidence import LandmarkEvidence
 from corporeal.registration.judgement import verdict_of
-from corporeal.registration.measures import beyond_cut, scan_to_mesh
 from corporeal.registration.limbs import limbs_tried
+from corporeal.registration.measures import beyond_cut, scan_to_mesh
 from corporeal.registration.options import RegistrationOptions
 from corporeal.registration.registration import FailedRegistration, Registration
 from corporeal.registration.search import search_starts
@@ -95,7 +95,17 @@ def register(
         if again is None:
             break
         result = _better(result, _through_all_stages(fitter, again, clock))
-    return result
+    if isinstance(result, FailedRegistration):
+        return result
+    return dataclasses.replace(result, notes=_side_notes(model, result.side, side))
+
+
+def _side_notes(model: SurfaceModel, used: Side | None, asked: Side | None) -> tuple[str, ...]:
+    """What was done about the side."""
+    if model.side is None:
+        unused = f"the model has no side: that the scan is of a {asked} one was not used"
+        return () if asked is None else (unused,)
+    return () if used == model.side else (f"the {model.side} model was mirrored to a {used} one",)
 
 
 def _through_all_stages(
