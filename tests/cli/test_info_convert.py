@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from corporeal.cli.main import main
-from corporeal.model.files import load_model, save_model
+from corporeal.model.files import load_model, open_model, save_model
 from corporeal.model.mirror import mirror_model
 
 
@@ -91,7 +91,7 @@ def test_convert_repairs_a_left_hand_on_request(official, tmp_path, rng, capsys)
     left, target = tmp_path / "left.npz", tmp_path / "out.npz"
     save_model(faulty, left, layout="official")
     assert main(["convert", str(left), str(target)]) == 0
-    assert "give the right-hand file" in capsys.readouterr().err
+    assert "--right MANO_RIGHT.pkl" in capsys.readouterr().err
     assert main(["convert", str(left), str(target), "--right", str(right)]) == 0
     assert "not mirrored" in capsys.readouterr().err
     assert main(["convert", str(left), str(target), "--right", str(right), "--repair-left"]) == 0
@@ -119,3 +119,24 @@ def test_convert_says_in_one_line_why_it_cannot(official, arguments, status, mes
     assert len(printed.strip().splitlines()) == 1
     assert right.read_bytes() == before
     assert not list(tmp_path.glob("out*"))
+
+
+@pytest.mark.parametrize("command", ["info", "convert"])
+@pytest.mark.parametrize("name", ["notes.pkl", "notes.npz", "notes", "notes.txt", "folder", "folder.npz"])
+def test_what_is_no_model_is_told_what_was_expected(command, name, tmp_path, capsys):
+    path = tmp_path / name
+    if name.startswith("folder"):
+        path.mkdir()
+    else:
+        path.write_text("dear diary")
+    arguments = [str(path)] + ([str(tmp_path / "out.npz")] if command == "convert" else [])
+    assert main([command, *arguments]) == 1
+    printed = capsys.readouterr().err
+    assert "expected .npz or .pkl" in printed and name in printed
+    assert "pickle" not in printed and len(printed.strip().splitlines()) == 1
+
+
+def test_convert_takes_the_open_model_by_name(tmp_path):
+    target = tmp_path / "out.npz"
+    assert main(["convert", "hand", str(target)]) == 0
+    np.testing.assert_array_equal(load_model(target).template, open_model("hand").template)

@@ -47,10 +47,27 @@ def test_resolve_says_what_it_did(rng):
     assert resolve_unit(points, "mm") == (known_unit("mm"), ())
     unit, (sentence,) = resolve_unit(points, "auto")
     assert unit.name == "mm" and "guessed: mm" in sentence
-    unit, (sentence,) = resolve_unit(points, "m")
-    assert unit.name == "m" and "320 m" in sentence
     unit, (sentence,) = resolve_unit(points, "free")
     assert "provisional" in sentence
+
+
+@pytest.mark.parametrize("metres", [0.14, 0.18, 0.32, 0.5])
+@pytest.mark.parametrize(
+    ("true", "told"), [("mm", "cm"), ("mm", "m"), ("cm", "m"), ("cm", "mm"), ("m", "mm"), ("m", "cm")]
+)
+def test_a_wrong_unit_is_refused_and_the_likely_one_named(rng, metres, true, told):
+    points = cloud_with_diagonal(rng, metres / known_unit(true).metres_per_unit)
+    with pytest.raises(UnitError, match=f"likely in.*{true}") as caught:
+        resolve_unit(points, told)
+    assert f"--unit {told}" in str(caught.value)
+    assert resolve_unit(points, true) == (known_unit(true), ())
+
+
+def test_the_expected_size_is_the_callers(rng):
+    points = cloud_with_diagonal(rng, 1750.0)
+    assert resolve_unit(points, "mm", BODY_EXTENT) == (known_unit("mm"), ())
+    with pytest.raises(UnitError, match="give --unit mm"):
+        resolve_unit(points, "cm", BODY_EXTENT)
 
 
 def test_points_in_one_place_have_no_unit():

@@ -3,40 +3,15 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Literal
 
-import tyro
 from rich.console import Console
 
+from corporeal.cli.commands import Convert
 from corporeal.cli.errors import CommandError
 from corporeal.cli.files import write_result
 from corporeal.cli.info import described
+from corporeal.cli.named_models import named_model
 from corporeal.model.files import LeftHandWarning, ModelFileError, load_model, save_model
-
-
-@dataclass(frozen=True)
-class Convert:
-    """Convert a model file: research pickles to archives, official layouts to ours and back.
-
-    Attributes:
-        source: MANO, SMPL, SMPL+H, SMPL-X or FLAME file (.pkl or .npz), or one of ours.
-        target: file to write, .npz or .pkl.
-        right: for a left-hand MANO file, the right-hand one: finds the known fault of left hands.
-        repair_left: repair that fault where it is found.
-        layout: native keeps everything; official writes the family's keys alone.
-        precision: in which shape, expression and pose directions are stored.
-        json: also write the machine-readable result to this file.
-    """
-
-    source: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="IN")]
-    target: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUT")]
-    right: Path | None = None
-    repair_left: bool = False
-    layout: Literal["native", "official"] = "native"
-    precision: Literal["float64", "float32", "float16"] = "float64"
-    json: Path | None = None
 
 
 def run(config: Convert) -> int:
@@ -49,11 +24,15 @@ def run(config: Convert) -> int:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", LeftHandWarning)
         try:
-            model = load_model(config.source, right=config.right, repair_left=config.repair_left)
+            if config.right is None:
+                model = named_model(config.source)
+            else:
+                model = load_model(config.source, right=config.right, repair_left=config.repair_left)
             save_model(model, config.target, layout=config.layout, precision=config.precision)
         except ModelFileError as error:
             raise CommandError(f"convert: {error}") from error
-    messages = [str(warning.message) for warning in caught]
+    remedy = "--right MANO_RIGHT.pkl" if config.right is None else "--repair-left"
+    messages = [f"{warning.message}; here: {remedy}" for warning in caught]
     console = Console(stderr=True)
     for message in [*messages, f"{config.target}: written, {config.target.stat().st_size / 1e6:.1f} MB"]:
         console.print(message, highlight=False, markup=False, soft_wrap=True)

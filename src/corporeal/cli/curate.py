@@ -3,39 +3,17 @@
 from __future__ import annotations
 
 import webbrowser
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-import tyro
 from rich.console import Console
 
+from corporeal.cli.commands import Curate
 from corporeal.cli.errors import CommandError
 from corporeal.cli.session_pictures import SessionPictures, model_of
 from corporeal.registration.session.files import DECISIONS, SessionFolderError, read_records
 from corporeal.registration.session.records import RecordError
 from corporeal.view.curation import Curation, CurationItem
 from corporeal.view.files import DecisionFileError, DecisionLog
-
-
-@dataclass(frozen=True)
-class Curate:
-    """Curate a registered session in the browser, on this machine only.
-
-    Keys: a accept, r reject, u undo, right and left for the next and the previous scan. Every decision is
-    written to decisions.jsonl in the folder before the page goes on.
-
-    Attributes:
-        folder: what ``corporeal register SESSION -o`` wrote to.
-        session: folder of the scans, if it has been moved since.
-        port: to listen on; if it is taken, the next free one.
-        browser: open the page in the default browser.
-    """
-
-    folder: tyro.conf.Positional[Path]
-    session: Path | None = None
-    port: int = 8080
-    browser: bool = True
 
 
 def run(config: Curate) -> int:

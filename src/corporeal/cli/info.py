@@ -3,34 +3,22 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-import tyro
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
+from corporeal.cli.commands import Info
 from corporeal.cli.errors import CommandError
 from corporeal.cli.files import write_result
-from corporeal.model.files import LeftHandWarning, ModelFileError, load_model, open_model
+from corporeal.cli.named_models import named_model
+from corporeal.model.files import LeftHandWarning, ModelFileError
 from corporeal.model.formats.families import family_of_tree
 from corporeal.model.surface_model import SurfaceModel
 
 _MODEL_ENDINGS = {".npz", ".pkl"}
-
-
-@dataclass(frozen=True)
-class Info:
-    """Say what a file holds: a model (ours or an official one) or a scan.
-
-    Attributes:
-        file: model file, scan file, or the name of a model in the box ("hand").
-        json: also write the machine-readable result to this file.
-    """
-
-    file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
-    json: Path | None = None
 
 
 def run(config: Info) -> int:
@@ -41,7 +29,7 @@ def run(config: Info) -> int:
     """
     is_model = config.file.suffix.lower() in _MODEL_ENDINGS or not config.file.suffix
     content = _model_content(config.file) if is_model else _scan_content(config.file)
-    Console().print(_table(content), highlight=False)
+    Console().print(_table(content), highlight=False, soft_wrap=True)
     for warning in content["warnings"]:
         Console(stderr=True).print(warning, highlight=False, markup=False, soft_wrap=True)
     if config.json is not None:
@@ -84,7 +72,7 @@ def _model_content(path: Path) -> dict[str, Any]:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", LeftHandWarning)
         try:
-            model = load_model(path) if path.suffix or path.exists() else open_model(str(path))
+            model = named_model(path)
         except ModelFileError as error:
             raise CommandError(f"info: {error}") from error
     return {
@@ -97,7 +85,11 @@ def _model_content(path: Path) -> dict[str, Any]:
 
 def _scan_content(path: Path) -> dict[str, Any]:
     # Models are asked about more often; they need none of the scan readers.
-    from corporeal.scans.files import ScanFileError, read_scan
+    from corporeal.scans.files import SCAN_SUFFIXES, ScanFileError, read_scan
+
+    if path.suffix.lower() not in SCAN_SUFFIXES:
+        scans = ", ".join(SCAN_SUFFIXES)
+        raise CommandError(f"info: {path}: expected .npz or .pkl for a model, or {scans} for a scan")
 
     try:
         scan = read_scan(path)
@@ -121,7 +113,7 @@ def _table(content: dict[str, Any]) -> Table:
     table = Table(show_header=False, box=None, pad_edge=False)
     for key, value in content.items():
         if key != "warnings":
-            table.add_row(key, "\n".join(_lines(value)))
+            table.add_row(key, Text("\n".join(_lines(value))))
     return table
 
 

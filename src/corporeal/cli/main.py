@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import importlib
 import sys
 from typing import Annotated
 
 import tyro
 
 import corporeal
-from corporeal.cli import convert, curate, info, register, report
+from corporeal.cli.commands import Convert, Curate, Info, Register, Report, Simulate
 from corporeal.cli.errors import CommandError
 
 Command = (
-    Annotated[register.Register, tyro.conf.subcommand("register")]
-    | Annotated[info.Info, tyro.conf.subcommand("info")]
-    | Annotated[convert.Convert, tyro.conf.subcommand("convert")]
-    | Annotated[curate.Curate, tyro.conf.subcommand("curate")]
-    | Annotated[report.Report, tyro.conf.subcommand("report")]
+    Annotated[Register, tyro.conf.subcommand("register")]
+    | Annotated[Info, tyro.conf.subcommand("info")]
+    | Annotated[Convert, tyro.conf.subcommand("convert")]
+    | Annotated[Simulate, tyro.conf.subcommand("simulate")]
+    | Annotated[Curate, tyro.conf.subcommand("curate")]
+    | Annotated[Report, tyro.conf.subcommand("report")]
 )
 
 
@@ -44,15 +46,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _run(config: Command) -> int:
-    if isinstance(config, register.Register):
-        return register.run(config)
-    if isinstance(config, info.Info):
-        return info.run(config)
-    if isinstance(config, curate.Curate):
-        return curate.run(config)
-    if isinstance(config, report.Report):
-        return report.run(config)
-    return convert.run(config)
+    # Each command's module is imported when it is asked for: torch and numba take seconds.
+    return importlib.import_module(f"corporeal.cli.{type(config).__name__.lower()}").run(config)
 
 
 if __name__ == "__main__":

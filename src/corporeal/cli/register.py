@@ -6,19 +6,26 @@ import os
 import time
 import traceback
 from collections import Counter
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
-import tyro
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+from corporeal.cli.commands import Register
 from corporeal.cli.errors import CommandError
-from corporeal.cli.files import check_result, write_json, write_result
+from corporeal.cli.files import (
+    can_be_opened,
+    check_output_folder,
+    check_result,
+    kernels_are_compiled,
+    write_json,
+    write_result,
+)
+from corporeal.cli.named_models import named_model
 from corporeal.cli.registration_outputs import remove_outputs, write_outputs
 from corporeal.cli.session import SessionCall, run_session
-from corporeal.model.files import ModelFileError, load_model, open_model
+from corporeal.model.files import ModelFileError
 from corporeal.model.surface_model import SurfaceModel
 from corporeal.registration.evidence import LandmarkFinder
 from corporeal.registration.options import RegistrationOptions
@@ -30,53 +37,18 @@ from corporeal.scans.scan import Scan
 from corporeal.scans.segmentation import remove_object
 
 
-@dataclass(frozen=True)
-class Register:
-    """Register raw hand scans: no landmarks to place, no options needed.
-
-    Attributes:
-        scans: scan files (PLY, OBJ, STL, OFF, GLB), meshes or point clouds; or the folder of a session.
-        output: folder that gets one folder of results per scan, or the records of a session.
-        model: "hand" for the open hand in the box, or a model file.
-        side: which hand it is; auto finds out.
-        unit: unit of the files; auto guesses from the size, free estimates the scale of photographed scans.
-        landmarks: JSON or CSV with landmarks of the one scan, in its own unit; then no detector is asked.
-        correctives: use the model's pose correctives.
-        green_objects: drop points painted green (G > max(R, 20)), as objects were in MANO's captures.
-        json: also write the machine-readable result to this file.
-        workers: processes for a session; as many as there are cores if not given.
-        rounds: 2 registers a session again with the pose priors that its first round taught.
-        dask: register a session on dask.distributed: a scheduler's address, or local.
-        restart: throw away what the output folder holds of a session, and begin anew.
-        outputs: write GLB, PLYs and a picture for every scan of a session too.
-    """
-
-    scans: tyro.conf.Positional[tuple[Path, ...]]
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    model: str = "hand"
-    side: Literal["auto", "left", "right"] = "auto"
-    unit: Literal["auto", "m", "cm", "mm", "free"] = "auto"
-    landmarks: Path | None = None
-    correctives: bool = True
-    green_objects: bool = False
-    json: Path | None = None
-    workers: int | None = None
-    rounds: Literal[1, 2] = 1
-    dask: str | None = None
-    restart: bool = False
-    outputs: bool = False
-
-
 def run(config: Register) -> int:
     """Register every scan; one bad scan costs one row."""
     _check_call(config)
     model = _model(config.model)
+    console = Console(stderr=True, markup=False, highlight=False, soft_wrap=True)
+    if not kernels_are_compiled():
+        console.print("the first run compiles kernels, for about a minute; later runs find them compiled")
     if config.scans[0].is_dir():
         return run_session(_session_call(config), model)
-    console = Console(stderr=True)
     items: list[dict[str, Any]] = []
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         TextColumn("{task.completed}/{task.total}"),
         TimeElapsedColumn(),
@@ -92,7 +64,7 @@ def run(config: Register) -> int:
             )
             progress.advance(task)
     for item in items:
-        console.print(_line(item), highlight=False)
+        console.print(_line(item))
     if config.json is not None:
         write_result(config.json, {"items": items})
     if len(items) > 1:
@@ -138,6 +110,8 @@ def _one(
         reason = f"internal error, please report it: {error!r} in {Path(place.filename).name}:{place.lineno}"
         row = failed_row(str(path), reason, seconds, [])
     row["seconds"]["total"] = time.perf_counter() - begun
+    if not (folder.exists() or can_be_opened(path)):
+        return row
     try:
         write_json(folder / "report.json", row)
     except OSError as error:
@@ -202,6 +176,9 @@ def _check_call(config: Register) -> None:
     twice = [stem for stem, count in stems.items() if count > 1]
     if twice:
         raise CommandError(f"register: two scans named {twice[0]!r} would write to one folder; rename one", 2)
+    check_output_folder(config.output)
+    for path in () if folders else config.scans:
+        check_output_folder(config.output / path.stem)
     if config.json is not None:
         check_result(config.json)
     if config.landmarks is not None and len(config.scans) > 1:
@@ -210,11 +187,9 @@ def _check_call(config: Register) -> None:
 
 def _model(name: str) -> SurfaceModel:
     try:
-        return load_model(Path(name)) if Path(name).suffix else open_model(name)
+        return named_model(Path(name))
     except ModelFileError as error:
-        raise CommandError(str(error), 2) from error
-    except FileNotFoundError as error:
-        raise CommandError(f"--model {name}: no such file, and no open model of that name", 2) from error
+        raise CommandError(f"--model {error}", 2) from error
 
 
 def _line(item: dict[str, Any]) -> str:

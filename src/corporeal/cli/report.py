@@ -5,15 +5,14 @@ from __future__ import annotations
 import dataclasses
 import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import torch
-import tyro
 from rich.console import Console
 
+from corporeal.cli.commands import Report
 from corporeal.cli.errors import CommandError
 from corporeal.cli.files import check_result, write_result
 from corporeal.cli.session_pictures import SessionPictures, model_of
@@ -30,23 +29,6 @@ from corporeal.registration.session.records import RecordError, SessionRecord
 
 _WORST = 10
 _PICTURE = (300, 360)
-
-
-@dataclass(frozen=True)
-class Report:
-    """Report on a registered session: counts, distances, the worst, and errors where a truth exists.
-
-    Attributes:
-        folder: what ``corporeal register SESSION -o`` wrote to.
-        output: the HTML file; without it report.html in the folder.
-        session: folder of the scans and of their truth, if it has been moved since.
-        json: also write the machine-readable result to this file.
-    """
-
-    folder: tyro.conf.Positional[Path]
-    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    session: Path | None = None
-    json: Path | None = None
 
 
 def run(config: Report) -> int:

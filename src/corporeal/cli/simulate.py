@@ -8,17 +8,16 @@ import multiprocessing
 import os
 import time
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
-import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 import corporeal
 from corporeal.atomic import write_bytes
+from corporeal.cli.commands import Simulate
 from corporeal.cli.errors import CommandError
 from corporeal.cli.files import check_result, write_json, write_result
 from corporeal.export.meshes import write_ply
@@ -35,33 +34,6 @@ from corporeal.scans.simulation.simulate import (
 _FORMAT = "corporeal-session-1"
 # Threads of one worker: the workers share the cores, and sums keep their order, so that bytes repeat.
 _SINGLE = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-
-
-@dataclass(frozen=True)
-class Simulate:
-    """Simulate a capture session of hands: soft flesh, a stereo scanner, faults, and the truth.
-
-    Attributes:
-        output: folder of the session; an interrupted one is continued.
-        subjects: number of people.
-        poses: number of protocol poses; every hand does about five eighths of them.
-        seed: everything follows from it.
-        sides: which hands.
-        objects: put green objects into grasps.
-        bad_one_in: one scan in so many is spoilt on purpose; 0 for none.
-        workers: processes; 0 for one per core.
-        json: also write the machine-readable result to this file.
-    """
-
-    output: tyro.conf.Positional[Path]
-    subjects: int = 31
-    poses: int = 51
-    seed: int = 0
-    sides: Literal["both", "right", "left"] = "both"
-    objects: bool = False
-    bad_one_in: int = 40
-    workers: int = 0
-    json: Annotated[Path | None, tyro.conf.arg()] = None
 
 
 def run(config: Simulate) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from importlib import resources
 from pathlib import Path
@@ -28,6 +29,10 @@ __all__ = [
 ]
 
 Layout = Literal["native", "official"]
+
+_EXPECTED = "expected .npz or .pkl: a model of corporeal, MANO, SMPL, SMPL+H, SMPL-X or FLAME"
+# Archives; pickles of protocol 2 and later; of protocols 0 and 1 what opens a tuple, dictionary or class.
+_CONTAINER_START = re.compile(rb"PK|\x80|[(}\]]|c[\w.]+\r?\n[\w.]+\r?\n")
 
 
 def load_model(
@@ -123,6 +128,8 @@ def open_model(name: str, side: Side = "right") -> SurfaceModel:
 
 def _read(path: Path) -> tuple[SurfaceModel, bool]:
     """The model, and whether the file is an official one."""
+    if path.is_dir():
+        raise file_error(path, "is a folder", _EXPECTED)
     try:
         size = path.stat().st_size
         content = path.read_bytes() if size <= SIZE_LIMIT else b""
@@ -130,6 +137,8 @@ def _read(path: Path) -> tuple[SurfaceModel, bool]:
         raise file_error(path, f"cannot be read ({error.strerror})", "check the path") from error
     if size > SIZE_LIMIT:
         raise file_error(path, f"{size} bytes are more than any model has", "give a model file")
+    if not _CONTAINER_START.match(content):
+        raise file_error(path, "is no model file", _EXPECTED)
     try:
         source = source_of(content)
         return (read_native(source), False) if is_native(source) else (read_official(source), True)

@@ -10,7 +10,7 @@ import numpy as np
 
 from corporeal.model.surface_model import SurfaceModel
 from corporeal.scans.detector import DetectorMissingError, HandDetector
-from corporeal.scans.landmark_files import read_landmarks
+from corporeal.scans.formats.landmarks import read_landmarks
 from corporeal.scans.landmarks import find_hand_landmarks
 from corporeal.scans.scan import Scan
 

@@ -18,8 +18,12 @@ HAND_EXTENT: Extent = (0.08, 0.9)
 """Metres: diagonal of the box about an adult's hand, from a part of a fist to a hand with its forearm."""
 
 
+_TOLD_MARGIN = 1.5
+"""A unit that the user names is believed this far beyond the expected size: less than a wrong one errs."""
+
+
 class UnitError(ValueError):
-    """The unit cannot be told from the size of the scan."""
+    """The unit cannot be told from the size of the scan, or the one that was told is wrong."""
 
 
 def guess_unit(points: Float[np.ndarray, "N 3"], expected_extent: Extent = HAND_EXTENT) -> Unit:
@@ -70,7 +74,8 @@ def resolve_unit(
     """The unit that was asked for, and sentences on what was guessed or looks wrong.
 
     Raises:
-        UnitError: "auto", and the size does not decide.
+        UnitError: "auto", and the size does not decide; or the subject would have an impossible size in the
+            unit that was told.
     """
     diagonal = _diagonal(points)
     if choice == "auto":
@@ -80,13 +85,23 @@ def resolve_unit(
         unit = free_unit(points, expected_extent)
         return unit, (f"No unit: the scale of {unit.metres_per_unit:.4g} m per unit is provisional.",)
     unit = known_unit(choice)
-    low, high = expected_extent
-    if not low <= diagonal * unit.metres_per_unit <= high:
-        size = diagonal * unit.metres_per_unit
-        return unit, (
-            f"Read in {unit.name} as told, the diagonal is {size:.4g} m: not {low:g} to {high:g} m.",
-        )
+    _check_told(diagonal, unit, expected_extent)
     return unit, ()
+
+
+def _check_told(diagonal: float, unit: Unit, expected_extent: Extent) -> None:
+    low, high = expected_extent
+    size = diagonal * unit.metres_per_unit
+    if low / _TOLD_MARGIN <= size <= high * _TOLD_MARGIN:
+        return
+    likely = [name for name, scale in METRES_PER_UNIT.items() if low <= diagonal * scale <= high]
+    advice = (
+        f"it is likely in {' or '.join(likely)}: give --unit {likely[0]}" if likely else "give --unit free"
+    )
+    raise UnitError(
+        f"--unit {unit.name}: the diagonal of {diagonal:.4g} {unit.name} is {size:.4g} m, expected "
+        f"{low:g} to {high:g} m; {advice}"
+    )
 
 
 def _diagonal(points: np.ndarray) -> float:

@@ -3,7 +3,7 @@ import json
 import numpy as np
 import pytest
 
-from corporeal.scans.landmark_files import LandmarkFileError, read_landmarks
+from corporeal.scans.formats.landmarks import LandmarkFileError, read_landmarks
 
 POINTS = {"wrist": [0.0, 1.5, -2e-3], "index_tip": [1.0, 2.0, 3.0]}
 

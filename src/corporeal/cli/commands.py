@@ -1,0 +1,146 @@
+"""What can be asked for on the command line: options alone, so that help and version need no library."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+
+@dataclass(frozen=True)
+class Register:
+    """Register raw hand scans: no landmarks to place, no options needed.
+
+    Attributes:
+        scans: scan files (PLY, OBJ, STL, OFF, GLB), meshes or point clouds; or the folder of a session.
+        output: folder that gets one folder of results per scan, or the records of a session.
+        model: "hand" for the open hand in the box, or a model file.
+        side: which hand it is; auto finds out.
+        unit: unit of the files; auto guesses from the size, free estimates the scale of photographed scans.
+        landmarks: JSON or CSV with landmarks of the one scan, in its own unit; then no detector is asked.
+        correctives: use the model's pose correctives.
+        green_objects: drop points painted green (G > max(R, 20)), as objects were in MANO's captures.
+        json: also write the machine-readable result to this file.
+        workers: processes for a session; as many as there are cores if not given.
+        rounds: 2 registers a session again with the pose priors that its first round taught.
+        dask: register a session on dask.distributed: a scheduler's address, or local.
+        restart: throw away what the output folder holds of a session, and begin anew.
+        outputs: write GLB, PLYs and a picture for every scan of a session too.
+    """
+
+    scans: tyro.conf.Positional[tuple[Path, ...]]
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    model: str = "hand"
+    side: Literal["auto", "left", "right"] = "auto"
+    unit: Literal["auto", "m", "cm", "mm", "free"] = "auto"
+    landmarks: Path | None = None
+    correctives: bool = True
+    green_objects: bool = False
+    json: Path | None = None
+    workers: int | None = None
+    rounds: Literal[1, 2] = 1
+    dask: str | None = None
+    restart: bool = False
+    outputs: bool = False
+
+
+@dataclass(frozen=True)
+class Info:
+    """Say what a file holds: a model (ours or an official one) or a scan.
+
+    Attributes:
+        file: model file, scan file, or the name of a model in the box ("hand").
+        json: also write the machine-readable result to this file.
+    """
+
+    file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
+    json: Path | None = None
+
+
+@dataclass(frozen=True)
+class Convert:
+    """Convert a model file: research pickles to archives, official layouts to ours and back.
+
+    Attributes:
+        source: MANO, SMPL, SMPL+H, SMPL-X or FLAME file (.pkl or .npz), one of ours, or hand (the open one).
+        target: file to write, .npz or .pkl.
+        right: for a left-hand MANO file, the right-hand one: finds the known fault of left hands.
+        repair_left: repair that fault where it is found.
+        layout: native keeps everything; official writes the family's keys alone.
+        precision: in which shape, expression and pose directions are stored.
+        json: also write the machine-readable result to this file.
+    """
+
+    source: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="IN")]
+    target: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUT")]
+    right: Path | None = None
+    repair_left: bool = False
+    layout: Literal["native", "official"] = "native"
+    precision: Literal["float64", "float32", "float16"] = "float64"
+    json: Path | None = None
+
+
+@dataclass(frozen=True)
+class Simulate:
+    """Simulate a capture session of hands: soft flesh, a stereo scanner, faults, and the truth.
+
+    Attributes:
+        output: folder of the session; an interrupted one is continued.
+        subjects: number of people.
+        poses: number of protocol poses; every hand does about five eighths of them.
+        seed: everything follows from it.
+        sides: which hands.
+        objects: put green objects into grasps.
+        bad_one_in: one scan in so many is spoilt on purpose; 0 for none.
+        workers: processes; 0 for one per core.
+        json: also write the machine-readable result to this file.
+    """
+
+    output: tyro.conf.Positional[Path]
+    subjects: int = 31
+    poses: int = 51
+    seed: int = 0
+    sides: Literal["both", "right", "left"] = "both"
+    objects: bool = False
+    bad_one_in: int = 40
+    workers: int = 0
+    json: Annotated[Path | None, tyro.conf.arg()] = None
+
+
+@dataclass(frozen=True)
+class Curate:
+    """Curate a registered session in the browser, on this machine only.
+
+    Keys: a accept, r reject, u undo, right and left for the next and the previous scan. Every decision is
+    written to decisions.jsonl in the folder before the page goes on.
+
+    Attributes:
+        folder: what ``corporeal register SESSION -o`` wrote to.
+        session: folder of the scans, if it has been moved since.
+        port: to listen on; if it is taken, the next free one.
+        browser: open the page in the default browser.
+    """
+
+    folder: tyro.conf.Positional[Path]
+    session: Path | None = None
+    port: int = 8080
+    browser: bool = True
+
+
+@dataclass(frozen=True)
+class Report:
+    """Report on a registered session: counts, distances, the worst, and errors where a truth exists.
+
+    Attributes:
+        folder: what ``corporeal register SESSION -o`` wrote to.
+        output: the HTML file; without it report.html in the folder.
+        session: folder of the scans and of their truth, if it has been moved since.
+        json: also write the machine-readable result to this file.
+    """
+
+    folder: tyro.conf.Positional[Path]
+    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    session: Path | None = None
+    json: Path | None = None
