@@ -138,7 +138,7 @@ def _read(path: Path) -> tuple[SurfaceModel, bool]:
     if size > SIZE_LIMIT:
         raise file_error(path, f"{size} bytes are more than any model has", "give a model file")
     if not _CONTAINER_START.match(content):
-        raise file_error(path, "is no model file", _EXPECTED)
+        raise file_error(path, "holds no model", _EXPECTED)
     try:
         source = source_of(content)
         return (read_native(source), False) if is_native(source) else (read_official(source), True)
