@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-_ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(_ROOT / "assets"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from open_hand.recorded_poses import carried_over, read_poses, thumb_nail
 
 from corporeal.atomic import write_bytes
 from corporeal.model.files import open_model
 
+_ROOT = Path(__file__).resolve().parents[2]
 _OUT = _ROOT / "src/corporeal/scans/simulation/recorded_poses.npz"
 _KEPT = 400
 _SPREAD, _TWIST = 32.0, 50.0
