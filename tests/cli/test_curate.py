@@ -174,6 +174,7 @@ def decided_by_keyboard(page, results: Path, wanted: list[str], names: list[str]
     return seconds
 
 
+@pytest.mark.slow
 def test_thirty_decisions_by_keyboard_survive_a_killed_browser(registered, tmp_path):
     results = registered
     names = sorted(path.stem for path in (results / "records").glob("*.npz"))

@@ -5,6 +5,8 @@ import time
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 
 def test_killed_ten_times_it_ends_with_the_same_bytes(make_session, start, finish, results, tmp_path, rng):
     session = make_session(count=40)

@@ -12,6 +12,7 @@ from corporeal.scans.simulation.identities import hand_at_rest, sample_subjects
 from corporeal.scans.simulation.protocol import protocol_poses
 from corporeal.scans.simulation.simulate import PlannedScan, SimulationOptions, plan_session, simulate_scan
 
+pytestmark = pytest.mark.slow
 OPTIONS = SimulationOptions(subjects=2, seed=3)
 
 
