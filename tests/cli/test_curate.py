@@ -11,11 +11,13 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
+from importlib.metadata import version
 from pathlib import Path
 from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
+from PIL import Image
 
 pytest.importorskip("viser")
 
@@ -89,7 +91,9 @@ def status_of(address: str, **headers: str) -> int:
 
 def websocket_status(address: str, **headers: str) -> int:
     try:
-        with connect(address, additional_headers=headers, subprotocols=["viser-v1.1.1"], open_timeout=10):
+        with connect(
+            address, additional_headers=headers, subprotocols=[f"viser-v{version('viser')}"], open_timeout=10
+        ):
             return 101
     except InvalidStatus as error:
         return error.response.status_code
@@ -162,6 +166,13 @@ def kill_browser(profile: Path) -> None:
                     os.kill(int(entry.name), signal.SIGKILL)
 
 
+def colours_in_the_middle(page, folder: Path) -> int:
+    """Different colours in the middle of the page: one, the background, where nothing is drawn."""
+    page.screenshot(path=str(folder / "page.png"), clip={"x": 420, "y": 150, "width": 440, "height": 500})
+    pixels = np.asarray(Image.open(folder / "page.png").convert("RGB")).reshape(-1, 3)
+    return len(np.unique(pixels, axis=0))
+
+
 def decided_by_keyboard(page, results: Path, wanted: list[str], names: list[str]) -> list[float]:
     """Press the keys; every decision is on the disk before the page says so. Seconds per scan."""
     seconds = []
@@ -185,6 +196,9 @@ def test_thirty_decisions_by_keyboard_survive_a_killed_browser(registered, tmp_p
             assert "token" not in page.url
             shown(page, 0, names[0])
             seconds = decided_by_keyboard(page, results, list(wanted.values()), names)
+            # The scene is drawn after the words; the hand fills a part of its middle.
+            page.wait_for_timeout(4000)
+            assert colours_in_the_middle(page, tmp_path) > 30
             print(f"median {np.median(seconds):.2f} s, worst {max(seconds):.2f} s per scan")
             kill_browser(tmp_path / "one")
         assert {entry["name"]: entry["decision"] for entry in decisions(results)} == wanted

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import html
 import http
 import queue
 import threading
-from collections.abc import Callable, Coroutine, Mapping
+from collections.abc import Callable, Coroutine, Iterator, Mapping
 from typing import Any
 
+import rich
 import viser
 
 from corporeal.view.contact_sheet import PictureDrawer, picture_answer, sheet_page
@@ -17,6 +19,7 @@ from corporeal.view.curation import ANY, DECIDED, Curation, ScanDisplay
 from corporeal.view.files import DecisionFileError
 from corporeal.view.guard import Answer, TokenGuard, guarding
 
+_EYE, _CENTRE = (0.0, 0.0, 0.42), (0.0, 0.0, 0.0)
 _HOST = "127.0.0.1"
 _SKIN, _POINT_SIZE = (236, 189, 161), 0.0007
 _KEYS: tuple[tuple[str, str, Any, Any], ...] = (
@@ -55,7 +58,7 @@ class CurationPage:
                 "/go": self._go,
             }
         )
-        with guarding(guard):
+        with guarding(guard), _without_banner():
             self._server = viser.ViserServer(host=_HOST, port=port, label="corporeal curate", verbose=False)
         self.url = f"http://{_HOST}:{self._server.get_port()}/?token={guard.token}"
         self._build_scene()
@@ -79,8 +82,8 @@ class CurationPage:
 
     def _build_scene(self) -> None:
         self._server.scene.set_up_direction("+y")
-        self._server.initial_camera.position = (0.0, 0.0, 0.42)
-        self._server.initial_camera.look_at = (0.0, 0.0, 0.0)
+        self._server.initial_camera.position = _EYE
+        self._server.initial_camera.look_at = _CENTRE
         self._server.gui.configure_theme(control_width="large", dark_mode=False, show_logo=False)
 
     def _build_panel(self) -> None:
@@ -166,6 +169,7 @@ class CurationPage:
             with self._server.atomic():
                 self._draw(display)
                 self._describe(note or display.note)
+            self._frame()
         else:
             self._describe(note)
         if self._scan is not None:
@@ -173,6 +177,11 @@ class CurationPage:
         if self._registration is not None:
             self._registration.visible = self._show_registration.value
         self._shown = curation.name
+
+    def _frame(self) -> None:
+        """Look at the scan again: viser takes "a" for a step of the camera to the left too."""
+        for client in self._server.get_clients().values():
+            client.camera.position, client.camera.look_at = _EYE, _CENTRE
 
     def _draw(self, display: ScanDisplay) -> None:
         self._clear()
@@ -214,3 +223,14 @@ class CurationPage:
 
     _scan: Any = None
     _registration: Any = None
+
+
+@contextlib.contextmanager
+def _without_banner() -> Iterator[None]:
+    """viser prints an address without the token, which is refused; ours is printed by the command."""
+    console = rich.get_console()
+    quiet, console.quiet = console.quiet, True
+    try:
+        yield
+    finally:
+        console.quiet = quiet
