@@ -66,7 +66,8 @@ def run(config: Report) -> int:
     if config.json is not None:
         write_result(config.json, {"items": items, "summary": summary, "truth_mm": truth_mm})
     counts = ", ".join(f"{count} {status}" for status, count in summary["counts"].items())
-    Console(stderr=True).print(f"{output}: {len(items)} scans: {counts}", highlight=False)
+    line = f"{output}: {len(items)} scans: {counts}"
+    Console(stderr=True).print(line, highlight=False, soft_wrap=True, markup=False)
     return 0
 
 

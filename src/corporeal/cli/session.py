@@ -96,7 +96,7 @@ def run_session(call: SessionCall, model: SurfaceModel) -> int:
         raise
     if call.json is not None:
         write_result(call.json, {"items": items})
-    console.print(_summary(items, time.monotonic() - begun), highlight=False)
+    console.print(_summary(items, time.monotonic() - begun), highlight=False, soft_wrap=True, markup=False)
     return 0
 
 
