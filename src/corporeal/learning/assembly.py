@@ -1,0 +1,59 @@
+"""Putting the learned parts into a model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from corporeal.geometry.rotations_numeric import axis_angle_from_matrix
+from corporeal.learning.options import LearningOptions
+from corporeal.learning.shape_space import learned_block, principal_components, shape_directions
+from corporeal.learning.state import LearningState
+from corporeal.model.surface_model import CutPlane, SurfaceModel
+
+
+@dataclass(frozen=True, eq=False)
+class Assembly:
+    """The model, the poses (N, K, 3) as axis-angle, and explained variances of shape and pose."""
+
+    model: SurfaceModel
+    poses: Float[np.ndarray, "N K 3"]
+    shape_variances: Float[np.ndarray, " n"]
+    pose_variances: Float[np.ndarray, " m"]
+
+
+def assembled(state: LearningState, start: SurfaceModel, options: LearningOptions) -> Assembly:
+    """The learned model: what was not learned (topology, names, parts, landmarks, limits) is the start model's."""
+    V, K = start.vertex_count, start.joint_count
+    shapes = principal_components(state.templates.reshape(len(state.templates), -1))
+    template = shapes.mean.reshape(V, 3)
+    P = 9 * (K - 1) if options.correctives else 0
+    directions = state.pose_directions[:P].reshape(P, V, 3).transpose(1, 2, 0)
+    blocks, variances = [], np.zeros(0)
+    for number, block in enumerate(start.pose_blocks):
+        learned, components = learned_block(block, state.rotations, options.mixture_components, options.seed)
+        blocks.append(learned)
+        if number == 0:
+            variances = components.variances
+    model = start.replace(
+        template=template,
+        shape_directions=shape_directions(shapes, options.shape_count),
+        joint_regressor=state.regressor,
+        skinning_weights=state.weights,
+        pose_directions=np.ascontiguousarray(directions),
+        pose_blocks=tuple(blocks),
+        cut=_cut(start, state.regressor @ template),
+    )
+    count = len(state.rotations)
+    poses = axis_angle_from_matrix(state.rotations.reshape(-1, 3, 3)).reshape(count, K, 3)
+    return Assembly(model, poses, shapes.variances, variances)
+
+
+def _cut(start: SurfaceModel, joints: Float[np.ndarray, "K 3"]) -> CutPlane | None:
+    """The same plane of the surface, seen from a joint that may have moved."""
+    if start.cut is None:
+        return None
+    before = (start.joint_regressor @ start.template)[start.cut.joint]
+    return CutPlane(start.cut.joint, start.cut.point + before - joints[start.cut.joint], start.cut.normal)

@@ -1,0 +1,53 @@
+"""How a model is learned: one record, one default in one place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class LearningOptions:
+    """What is learned, and how strongly it is held back.
+
+    Strengths are in observations: how many vertices, each of one registration, a prior outvotes.
+
+    Attributes:
+        sweeps: most passes over templates, poses, joints, correctives and weights.
+        settled: a sweep that lowers the objective by a smaller share is the last.
+        neutral_first: weigh registrations by equation 11 in the first templates.
+        neutral_floor: least squared distance from the zero pose (the sum in equation 11): at 1 all fifteen joints of a
+            hand are bent by 10 degrees. Equation 11 is singular at the zero pose.
+        correctives: learn pose correctives.
+        regularisation: "geodesic" (equation 10) or "constant" (SMPL).
+        corrective_strength: of the correctives' prior at a distance of 1 cm.
+        constant_distance: metres of geodesic distance that the constant cost stands for.
+        weights: learn skinning weights.
+        weight_strength: of the start model's weights; a displacement of 1 cm per unit of weight is one observation.
+        template_strength: of the start model's shape, per vertex of a personal template.
+        joint_strength: of the regressed joints.
+        shape_count: most shape directions.
+        mixture_components: of the pose mixture.
+        trim: registrations that lie farther from the learned model than the median by so many median deviations are
+            left out after the first sweeps; infinite keeps all.
+        fewest_subjects: fewer are refused: their shape space would say nothing of other people.
+        seed: of the mixture.
+    """
+
+    sweeps: int = 12
+    settled: float = 2e-3
+    neutral_first: bool = True
+    neutral_floor: float = 1.0
+    correctives: bool = True
+    regularisation: Literal["geodesic", "constant"] = "geodesic"
+    corrective_strength: float = 0.5
+    constant_distance: float = 0.04
+    weights: bool = True
+    weight_strength: float = 20.0
+    template_strength: float = 0.02
+    joint_strength: float = 200.0
+    shape_count: int = 30
+    mixture_components: int = 10
+    trim: float = 6.0
+    fewest_subjects: int = 3
+    seed: int = 0

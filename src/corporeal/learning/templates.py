@@ -1,0 +1,107 @@
+"""The steps that move personal templates and their joints: both linear, both solved exactly."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from corporeal.learning import skinning_kernels as kernels
+from corporeal.learning.objective import Priors
+from corporeal.learning.options import LearningOptions
+from corporeal.learning.state import LearningState, Registrations
+
+_UPPER = np.triu_indices(3)
+
+
+def fit_templates(
+    state: LearningState, data: Registrations, priors: Priors, options: LearningOptions
+) -> LearningState:
+    """Every hand's template: a 3 x 3 system per vertex, tied together by the regressed joints alone."""
+    H, V = state.templates.shape[:2]
+    squares, pulls = np.zeros((H, V, 6)), np.zeros((H, V, 3))
+    weights = state.weight_table()
+    for posed in state.posed(data):
+        rows = posed.rows
+        kernels.template_moments(
+            weights, posed.motions, state.offsets(rows), data.vertices[rows], data.importance[rows],
+            data.hands[rows], squares, pulls,
+        )  # fmt: skip
+    systems = np.empty((H, V, 3, 3))
+    systems[..., _UPPER[0], _UPPER[1]] = squares
+    systems[..., _UPPER[1], _UPPER[0]] = squares
+    systems += options.template_strength * np.eye(3)
+    pulls += options.template_strength * priors.templates
+    regressor = state.regressor.toarray()
+    templates = np.stack(
+        [
+            _tied_solution(systems[h], pulls[h], regressor, state.joints[h], options.joint_strength)
+            for h in range(H)
+        ]
+    )
+    return replace(state, templates=templates)
+
+
+def _tied_solution(
+    systems: Float[np.ndarray, "V 3 3"], pulls: Float[np.ndarray, "V 3"], regressor: Float[np.ndarray, "K V"],
+    joints: Float[np.ndarray, "K 3"], strength: float,
+) -> Float[np.ndarray, "V 3"]:  # fmt: skip
+    """Blocks of 3 x 3 plus ``strength`` |regressor x - joints|^2, by the Woodbury identity."""
+    K = len(joints)
+    inverse = np.linalg.inv(systems)
+    pulls = pulls + strength * regressor.T @ joints
+    free = np.einsum("vab,vb->va", inverse, pulls)
+    used = np.flatnonzero(regressor.any(axis=0))
+    some = regressor[:, used]
+    small = np.einsum("kv,lv,vab->kalb", some, some, inverse[used], optimize=True).reshape(3 * K, 3 * K)
+    small += np.eye(3 * K) / strength
+    tension = np.linalg.solve(small, (regressor @ free).reshape(-1)).reshape(K, 3)
+    free[used] -= np.einsum("vab,kv,kb->va", inverse[used], some, tension, optimize=True)
+    return free
+
+
+def fit_joints(
+    state: LearningState, data: Registrations, options: LearningOptions
+) -> LearningState:
+    """Every hand's joints together with the translations of its registrations, which are eliminated.
+
+    A vertex moves with joint m by s_m (R_parent - R_m), where s_m is the weight of m and all its descendants.
+    """
+    K, H = len(state.parents), len(state.templates)
+    carried = state.weights.copy()
+    for joint in range(K - 1, 0, -1):
+        carried[:, state.parents[joint]] += carried[:, joint]
+    mean = carried.mean(axis=0)
+    centred = carried - mean
+    spread = centred.T @ centred
+    regressed = np.stack([state.regressor @ template for template in state.templates])
+    systems = np.tile(options.joint_strength * np.eye(3 * K), (H, 1, 1))
+    pulls = options.joint_strength * (regressed - state.joints).reshape(H, -1)
+    residual_means = np.empty((len(data.hands), 3))
+    weights = state.weight_table()
+    levers = np.empty((len(data.hands), K, 3, 3))
+    for posed in state.posed(data):
+        rows, importance = posed.rows, data.importance[posed.rows]
+        surface = np.empty_like(posed.rest)
+        kernels.posed_vertices(weights, posed.motions, posed.rest, surface)
+        residuals = data.vertices[rows] - surface
+        residual_means[rows] = residuals.mean(axis=1)
+        lever = _levers(state, posed.motions)
+        levers[rows] = lever
+        gathered = np.einsum("vk,nva->nka", centred, residuals, optimize=True)
+        np.add.at(pulls, data.hands[rows], importance[:, None] * np.einsum("nkab,nka->nkb", lever, gathered).reshape(-1, 3 * K))
+        products = np.einsum("n,kl,nkca,nlcb->nkalb", importance, spread, lever, lever, optimize=True)
+        np.add.at(systems, data.hands[rows], products.reshape(-1, 3 * K, 3 * K))
+    steps = np.linalg.solve(systems, pulls[..., None])[..., 0].reshape(H, K, 3)
+    moved = np.einsum("k,nkab,nkb->na", mean, levers, steps[data.hands], optimize=True)
+    return replace(
+        state, joints=state.joints + steps, translations=state.translations + residual_means - moved
+    )
+
+
+def _levers(state: LearningState, motions: Float[np.ndarray, "n K 12"]) -> Float[np.ndarray, "n K 3 3"]:
+    """R_parent - R of every joint; I - R of the root."""
+    world = motions[..., :9].reshape(*motions.shape[:2], 3, 3)
+    parents = np.concatenate([np.tile(np.eye(3), (len(motions), 1, 1, 1)), world[:, state.parents[1:]]], axis=1)
+    return parents - world
