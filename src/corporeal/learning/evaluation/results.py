@@ -1,26 +1,27 @@
 """What an evaluation found: plain records that become JSON, from which tables and plots are drawn.
 
-Lengths are millimetres, shares lie between 0 and 1, intervals are 95 % ones. A curve's ``components[i]`` belongs to
-``mean[i]`` and ``sd[i]``; ``components`` is empty where only the full pose space was fitted. A number that is not known
-is null, for instance an interval with too few subjects. ``EvaluationResults.to_json()`` gives::
+Lengths are millimetres, shares lie between 0 and 1, intervals are 95 % ones. A curve's ``components[i]``
+belongs to ``mean[i]`` and ``sd[i]``; ``components`` is empty where only the full pose space was fitted. A
+number that is not known is null, for instance an interval with too few subjects.
+``EvaluationResults.to_json()`` gives::
 
     {
       "format": "corporeal-evaluation-1",
       "compactness": [
         {"label": "learned", "space": "pose", "components": [1, 2, 3], "shares": [0.4, 0.6, 0.7],
          "paper": {"components": [6, 10, 15], "shares": [0.81, 0.9, 0.95]}},
-        {"label": "learned", "space": "shape", "components": [1, 2, 3], "shares": [0.5, 0.7, 0.8], "paper": null}
+        {"label": "learned", "space": "shape", "components": [1, 2], "shares": [0.5, 0.7], "paper": null}
       ],
       "pose_generalisation": [
         {"label": "learned", "protocol": "pose only", "components": [1, 6, 45], "mean": [1.9, 1.1, 0.6],
          "sd": [0.5, 0.3, 0.1], "n_scans": 50, "n_subjects": 6,
          "full": {"mean": 0.55, "median": 0.54, "p95": 0.8, "sd": 0.1},
-         "scans": [{"name": "s40_p02_right", "subject": "s40", "status": "ok", "by_components": [1.8, 1.0, 0.6],
-                    "full": {"mean": 0.56, "median": 0.41, "p95": 1.5}}]}
+         "scans": [{"name": "s40_p02_right", "subject": "s40", "status": "ok",
+                    "by_components": [1.8, 1.0, 0.6], "full": {"mean": 0.56, "median": 0.41, "p95": 1.5}}]}
       ],
       "shape_generalisation": [
-        {"label": "learned", "protocol": "leave one subject out", "components": [0, 1, 2], "mean": [3.0, 1.8, 1.5],
-         "sd": [0.9, 0.4, 0.3], "n_subjects": 31, "n_hands": 62,
+        {"label": "learned", "protocol": "leave one subject out", "components": [0, 1, 2],
+         "mean": [3.0, 1.8, 1.5], "sd": [0.9, 0.4, 0.3], "n_subjects": 31, "n_hands": 62,
          "hands": [{"name": "s01/left", "subject": "s01", "by_components": [2.9, 1.7, 1.6]}]}
       ],
       "ratios": [
@@ -33,18 +34,21 @@ is null, for instance an interval with too few subjects. ``EvaluationResults.to_
          "by_joint": [{"joint": "index1", "share": 0.01}]}
       ],
       "truth": [
-        {"label": "learned", "r_squared": 0.7, "r_squared_median": 0.71, "r_squared_worst": 0.5, "aligned": false,
+        {"label": "learned", "r_squared": 0.7, "r_squared_median": 0.71, "r_squared_worst": 0.5,
+         "aligned": false,
          "error": {"mean": 0.6, "median": 0.5, "p95": 1.4, "sd": 0.3},
          "error_without": {"mean": 1.2, "median": 0.9, "p95": 3.0, "sd": 0.8},
-         "joint_error": {"mean": 1.1, "median": 1.0, "p95": 1.9, "sd": 0.4}, "n_scans": 20, "limit": 0.6,
-         "met": true}
+         "joint_error": {"mean": 1.1, "median": 1.0, "p95": 1.9, "sd": 0.4},
+         "n_scans": 20, "limit": 0.6, "met": true}
       ],
       "learning_curve": [
-        {"label": "mirrored", "protocol": "pose only", "n_registrations": 777, "mean": 0.6, "interval": [0.5, 0.7],
-         "n_subjects": 6}
+        {"label": "mirrored", "protocol": "pose only", "n_registrations": 777, "mean": 0.6,
+         "interval": [0.5, 0.7], "n_subjects": 6}
       ],
       "notes": ["50 scans of 6 subjects, none of them learned from."]
     }
+
+A summary under ``full`` is over the means of the scans; one under ``scans`` is over the points of one scan.
 """
 
 from __future__ import annotations
@@ -161,7 +165,7 @@ class ShapeCurve:
 
 @dataclass(frozen=True)
 class Ratio:
-    """Mean error of one model over that of another on the same scans; ``limit`` is the most that is allowed."""
+    """Mean error of one model over that of another on the same scans; at most ``limit`` is allowed."""
 
     name: str
     numerator: str
@@ -200,7 +204,7 @@ class Locality:
 
 @dataclass(frozen=True)
 class TruthResult:
-    """A model at true pose and template against the true surface; errors in mm over all vertices and scans."""
+    """A model at true pose and template against the true surface; errors in mm over vertices and scans."""
 
     label: str
     r_squared: float
@@ -245,7 +249,7 @@ class EvaluationResults:
     notes: tuple[str, ...] = field(default=())
 
     def to_json(self) -> dict[str, Any]:
-        """As dictionaries, lists and numbers that ``json.dumps(..., allow_nan=False)`` takes; see the module."""
+        """As dictionaries, lists and finite numbers; see the module for an example."""
         content = asdict(self)
         for section in ("ratios", "truth"):
             for entry, record in zip(content[section], getattr(self, section), strict=True):
