@@ -18,8 +18,9 @@ from corporeal.registration.measures import beyond_cut
 from corporeal.registration.options import FreeStage, LandmarkStage, RegistrationOptions, SurfaceStage
 from corporeal.registration.priors import prior_terms
 from corporeal.registration.target import SampledPoints, Target
-from corporeal.solve.dogleg import DoglegOptions, Solution, solve
+from corporeal.solve.dogleg import DoglegOptions, Solution, solve, solve_within
 from corporeal.solve.problem import Problem, State, Term
+from corporeal.solve.subspace import AffineSubspace
 from corporeal.terms.coupling import EdgeCoupling
 from corporeal.terms.distance import DistanceOptions
 from corporeal.terms.landmarks import LandmarkDistances
@@ -84,6 +85,13 @@ class Fitter:
         )
         topology = _topology(model)
         self.surface, self.parts = topology.surface, topology.parts
+        self._subspace: AffineSubspace | None = None
+
+    def within(self, subspace: AffineSubspace | None) -> Fitter:
+        """The same fit with the parameters of its model stages held to a subspace; None frees them."""
+        other = copy.copy(self)
+        other._subspace = subspace
+        return other
 
     def rescaled(self, factor: float) -> Fitter:
         """The same fit with another estimate of the scan's scale; itself where the factor is 1."""
@@ -182,7 +190,10 @@ class Fitter:
 
     def _solve_model(self, terms: list[Term], start: np.ndarray, iterations: int) -> Solution:
         problem = Problem(terms, self.fields.derive, self.fields.differentiate)
-        return solve(problem, State(start), DoglegOptions(iterations=iterations, relative_decrease=1e-3))
+        limits = DoglegOptions(iterations=iterations, relative_decrease=1e-3)
+        if self._subspace is not None:
+            return solve_within(problem, self._subspace, State(start), limits)
+        return solve(problem, State(start), limits)
 
 
 def _topology(model: SurfaceModel) -> _Topology:

@@ -6,12 +6,13 @@ Nocedal and Wright 2006, chapter 4.1; the optimiser of the MANO paper (section 3
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
 
 from corporeal.solve.problem import Evaluation, Problem, State
+from corporeal.solve.subspace import AffineSubspace, RestrictedProblem
 from corporeal.solve.systems import NormalSystem, SingularSystemError
 
 
@@ -64,7 +65,7 @@ class Solution:
 
 
 def solve(
-    problem: Problem,
+    problem: Problem | RestrictedProblem,
     start: State,
     options: DoglegOptions | None = None,
     on_step: Callable[[int, Evaluation], None] | None = None,
@@ -107,6 +108,15 @@ def solve(
             outcome = Outcome.CONVERGED if predicted < 1e-6 * here.cost else Outcome.NO_PROGRESS
             break
     return _solution(here, outcome, iteration)
+
+
+def solve_within(
+    problem: Problem, subspace: AffineSubspace, start: State, options: DoglegOptions | None = None
+) -> Solution:
+    """Minimise over a subspace, from the start's projection onto it; the solution holds whole parameters."""
+    coordinates = State(subspace.nearest(start.parameters))
+    found = solve(RestrictedProblem(problem, subspace), coordinates, options)
+    return replace(found, state=State(subspace.lifted(found.state.parameters)))
 
 
 class _Path:
