@@ -120,7 +120,7 @@ class _Pool:
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
         process = context.Process(target=_serve, args=(theirs, self._setup), daemon=True)
-        with _single_threaded():
+        with single_threaded():
             process.start()
         theirs.close()
         return _Seat(process, ours)
@@ -194,8 +194,11 @@ def _serve(pipe: Connection, setup: WorkerSetup) -> None:
 
 
 @contextlib.contextmanager
-def _single_threaded() -> Iterator[None]:
-    """BLAS reads its number of threads when it is loaded: children inherit it from our environment."""
+def single_threaded() -> Iterator[None]:
+    """Processes begun in this block have one thread each.
+
+    BLAS reads its number of threads when it is loaded: children inherit it from our environment.
+    """
     before = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
     os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
     try:
