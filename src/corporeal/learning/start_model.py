@@ -28,7 +28,7 @@ def start_model(
     joint_names: Sequence[str],
     *,
     name: str,
-    weights: Float[np.ndarray, "V K"] | None = None,
+    weights: Float[np.ndarray, "_ _"] | None = None,
     size_deviation: float = 0.07,
 ) -> SurfaceModel:
     """A model of any kinematic tree with a crude rig: enough to register with and to learn from.
@@ -44,8 +44,8 @@ def start_model(
         parents: K numbers; the root comes first with -1, parents before their children.
         joint_names: K names, all different.
         name: of the model.
-        weights: rough skinning weights, non-negative, rows summing to one; the four strongest joints of a
-            vertex are kept. None: by distance to bones (``rigging.bone_weights``).
+        weights: (V, K) rough skinning weights, non-negative, rows summing to one; the four strongest joints
+            of a vertex are kept. None: by distance to bones (``rigging.bone_weights``).
         size_deviation: standard deviation of people's sizes as a share of the size.
 
     Raises:
@@ -107,7 +107,7 @@ def crude_start(model: SurfaceModel, size_deviation: float = 0.07) -> SurfaceMod
 
 def _rig(
     template: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], joints: Float[np.ndarray, "K 3"],
-    parents: Int[np.ndarray, " K"], joint_names: Sequence[str], given: Float[np.ndarray, "V K"] | None,
+    parents: Int[np.ndarray, " K"], joint_names: Sequence[str], given: Float[np.ndarray, "_ _"] | None,
 ) -> tuple[Float[np.ndarray, "V K"], sp.csr_matrix]:  # fmt: skip
     """Skinning weights and joint regressor."""
     if given is None:
