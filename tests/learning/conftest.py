@@ -138,3 +138,9 @@ def make_tube() -> Callable[..., KnownTube]:
 @pytest.fixture(scope="session")
 def known_tube() -> KnownTube:
     return made_tube()
+
+
+@pytest.fixture(scope="session")
+def noise_rms_mm() -> float:
+    """Root mean square length of the noise of a vertex."""
+    return 1e3 * NOISE * np.sqrt(3)
