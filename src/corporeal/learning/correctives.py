@@ -29,6 +29,8 @@ def fit_correctives(
     x, y and z: that is the preconditioner. Leaving A out altogether was refused: a step could then raise the
     objective where skinning compresses the inside of a bent finger.
     """
+    if not len(state.pose_directions):
+        return state
     costs = np.repeat(corrective_costs(priors, options), 9, axis=0)
     inverse = _preconditioner(state, costs)
     P, V = costs.shape

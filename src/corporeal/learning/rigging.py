@@ -11,9 +11,7 @@ from scipy.optimize import nnls
 from scipy.sparse import csgraph
 
 from corporeal.geometry.topology import unique_edges
-
-MOST_JOINTS = 4
-"""Joints per vertex."""
+from corporeal.learning.weights import MOST_JOINTS
 
 # A bone's weight has faded away at this many thicknesses of the limb along the surface. Against the weights
 # that artists gave the open hand: mean difference 0.08 at 1.0, 0.14 at 1.5, 0.20 at 2.0.
