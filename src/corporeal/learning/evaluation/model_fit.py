@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from corporeal.learning.evaluation.alignment import rigid_onto
 from corporeal.learning.evaluation.results import Protocol
 from corporeal.model.jacobian import evaluate
 from corporeal.model.surface_model import SurfaceModel
@@ -17,7 +18,7 @@ from corporeal.registration.gaussian_pose import GaussianPose
 from corporeal.registration.measures import beyond_cut, scan_to_mesh
 from corporeal.registration.options import RegistrationOptions, SurfaceStage
 from corporeal.registration.stages import Fitter
-from corporeal.registration.starts import similarity, turned
+from corporeal.registration.starts import turned
 from corporeal.registration.target import SampledPoints, Target
 from corporeal.scans.scan import Scan
 from corporeal.solve.dogleg import Solution
@@ -241,8 +242,8 @@ def start_on(
         )
     shape, pose = np.zeros(0), pose.astype(np.float64)
     posed = evaluate(model, shape, pose, np.zeros(3)).vertices
-    _, R, _ = similarity(posed, vertices, np.ones(len(posed)))
-    vector = turned(model, pose, shape, R, vertices.mean(axis=0) - R @ posed.mean(axis=0))
+    R, t = rigid_onto(posed, vertices)
+    vector = turned(model, pose, shape, R, t)
     return ModelParameters(vector[:3], vector[3:].reshape(-1, 3), shape)
 
 

@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 
 from corporeal.learning.evaluation.model_fit import FitProtocol, ModelFit, ModelFitter, start_on
-from corporeal.learning.evaluation.results import PoseCurve, ScanError, ScanResult, Summary, spread
+from corporeal.learning.evaluation.results import PoseCurve, ScanError, ScanResult, Summary
 from corporeal.model.surface_model import SurfaceModel
 from corporeal.registration.session.pool import single_threaded
 from corporeal.scans.scan import Scan
@@ -109,19 +109,14 @@ def fitted(model: ComparedModel, held_out: HeldOutScan) -> ScanResult:
 def curve_of(model: ComparedModel, results: Sequence[ScanResult]) -> PoseCurve:
     """Means and standard deviations over the scans that were fitted."""
     scored = [result for result in results if result.status == "ok"]
-    by_components = np.array([result.by_components for result in scored]).reshape(len(scored), -1)
-    means = (
-        [Summary.of(column).mean for column in by_components.T]
-        if scored
-        else [np.nan] * len(model.components)
-    )
-    spreads = [spread(column) for column in by_components.T] if scored else means
+    by_components = np.array([result.by_components for result in scored])
+    columns = by_components.reshape(len(scored), len(model.components)).T
     return PoseCurve(
         label=model.label,
         protocol=model.protocol.name,
         components=tuple(model.components),
-        mean=tuple(means),
-        sd=tuple(spreads),
+        mean=tuple(Summary.of(column).mean for column in columns),
+        sd=tuple(Summary.of(column).sd for column in columns),
         n_scans=len(scored),
         n_subjects=len({result.subject for result in scored}),
         full=Summary.of(np.array([result.full.mean for result in scored])),
