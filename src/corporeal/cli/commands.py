@@ -144,3 +144,34 @@ class Report:
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     session: Path | None = None
     json: Path | None = None
+
+
+@dataclass(frozen=True)
+class Learn:
+    """Learn a model from registered sessions: shape space, joints, skinning weights, pose correctives, pose PCA.
+
+    What the curator accepted is used, and of what was not curated, what is "ok". Left hands are mirrored in.
+
+    Attributes:
+        registrations: folders that ``corporeal register SESSION -o`` wrote to.
+        output: the model file (.npz); beside it, personal templates, poses and log as NAME.learning.npz.
+        start: the model that they were registered with, if it is not in the folder: hand, or a file.
+        name: of the model; the start's name if not given.
+        sides: both (left ones are mirrored in), or right-only.
+        correctives: learn pose correctives.
+        regularisation: of the correctives: by geodesic distance (MANO) or constant (SMPL).
+        neutral_first: weigh registrations by their distance from the zero pose in the first templates.
+        seed: of the pose mixture.
+        json: also write the machine-readable result to this file.
+    """
+
+    registrations: tyro.conf.Positional[tuple[Path, ...]]
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    start: str | None = None
+    name: str | None = None
+    sides: Literal["both", "right-only"] = "both"
+    correctives: bool = True
+    regularisation: Literal["geodesic", "constant"] = "geodesic"
+    neutral_first: bool = True
+    seed: int = 0
+    json: Path | None = None

@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 import corporeal
-from corporeal.cli.commands import Convert, Curate, Info, Register, Report, Simulate
+from corporeal.cli.commands import Convert, Curate, Info, Learn, Register, Report, Simulate
 from corporeal.cli.errors import CommandError
 
 Command = (
@@ -18,6 +18,7 @@ Command = (
     | Annotated[Convert, tyro.conf.subcommand("convert")]
     | Annotated[Simulate, tyro.conf.subcommand("simulate")]
     | Annotated[Curate, tyro.conf.subcommand("curate")]
+    | Annotated[Learn, tyro.conf.subcommand("learn")]
     | Annotated[Report, tyro.conf.subcommand("report")]
 )
 

@@ -18,12 +18,12 @@ from rich.progress import BarColumn, Progress, TextColumn
 from corporeal.cli.errors import CommandError
 from corporeal.cli.files import check_result, write_result
 from corporeal.cli.registration_outputs import write_outputs
-from corporeal.model.files import ModelFileError
+from corporeal.model.files import ModelFileError, save_model
 from corporeal.model.surface_model import Side, SurfaceModel
 from corporeal.registration.options import RegistrationOptions
 from corporeal.registration.registration import Registration
 from corporeal.registration.session.cluster import DaskMissingError, run_dask
-from corporeal.registration.session.files import SessionFolderError
+from corporeal.registration.session.files import MODEL, SessionFolderError
 from corporeal.registration.session.jobs import Execute, WorkerError
 from corporeal.registration.session.model_digest import model_digest
 from corporeal.registration.session.pool import run_local
@@ -87,6 +87,7 @@ def run_session(call: SessionCall, model: SurfaceModel) -> int:
         session = read_session(call.folder, SCAN_SUFFIXES)
         with _Bar(console) as watcher:
             items = register_session(_plan(call, model, session, watcher))
+        _keep_model(call.output / MODEL, model)
     except (SessionFileError, SessionFolderError, DaskMissingError, ModelFileError) as error:
         raise CommandError(str(error), 2) from error
     except WorkerError as error:
@@ -98,6 +99,12 @@ def run_session(call: SessionCall, model: SurfaceModel) -> int:
         write_result(call.json, {"items": items})
     console.print(_summary(items, time.monotonic() - begun), highlight=False, soft_wrap=True, markup=False)
     return 0
+
+
+def _keep_model(path: Path, model: SurfaceModel) -> None:
+    """Copy the model into the folder once; another one would have been refused by now."""
+    if not path.exists():
+        save_model(model, path)
 
 
 def _plan(call: SessionCall, model: SurfaceModel, session: CaptureSession, watcher: Watcher) -> SessionPlan:

@@ -15,7 +15,7 @@ from corporeal.export.thumbnails import Thumbnail, write_thumbnail
 from corporeal.geometry.closest_points import SurfaceTree
 from corporeal.model.files import ModelFileError, load_model, open_model
 from corporeal.model.surface_model import SurfaceModel
-from corporeal.registration.session.files import MANIFEST, read_json_file, read_record, record_path
+from corporeal.registration.session.files import MANIFEST, MODEL, read_json_file, read_record, record_path
 from corporeal.registration.session.records import SessionRecord
 from corporeal.scans.files import read_scan
 from corporeal.scans.scan import Scan
@@ -28,11 +28,17 @@ _NEVER = 0.05
 
 
 def model_of(folder: Path) -> SurfaceModel:
-    """The model that the manifest of a registered session names; the open hand where it names none.
+    """The model that a session was registered with: its copy in the folder, else the one that the manifest names.
 
     Raises:
         CommandError: the model cannot be read.
     """
+    kept = folder / MODEL
+    if kept.is_file():
+        try:
+            return load_model(kept)
+        except (ModelFileError, OSError) as error:
+            raise CommandError(f"{kept}: {error}", 2) from error
     manifest = read_json_file(folder / MANIFEST) or {}
     named = manifest.get("model", "hand")
     name = str(named.get("name", "hand") if isinstance(named, dict) else named)

@@ -12,8 +12,10 @@ _REACH = 3.0
 _FEWEST = 40
 # Weight of "the row sums to one" against metres: its miss after division by the sum is then below a micrometre.
 _SUM = 10.0
-# Hold of the old row, metres per unit of weight: with fewer people than vertices many rows give the same joints.
-_HOLD = 2e-4
+# Hold of the start model's row, metres per unit of weight. With fewer people than vertices many rows give the same
+# joints; without it (2e-4) four to fourteen vertices on one side of a finger stood for its joint, and other people's
+# joints were wrong.
+_HOLD = 2e-3
 
 
 def fit_regressor(

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 from corporeal.geometry.rotations_numeric import matrix_from_axis_angle
 from corporeal.geometry.topology import unique_edges
 from corporeal.learning.assembly import assembled
+from corporeal.learning.bone_motions import first_joints
 from corporeal.learning.correctives import fit_correctives
 from corporeal.learning.joint_distances import geodesic_joint_distances
 from corporeal.learning.joint_regressor import fit_regressor
@@ -19,6 +20,7 @@ from corporeal.learning.learned import LearnedModel, StepLog
 from corporeal.learning.objective import Priors, objective
 from corporeal.learning.options import LearningOptions
 from corporeal.learning.poses import fit_poses
+from corporeal.learning.rigging import strongest_joints
 from corporeal.learning.state import LearningState, Registrations
 from corporeal.learning.templates import fit_joints, fit_templates
 from corporeal.learning.training_set import LearningError, TrainingSet
@@ -46,8 +48,8 @@ def learn_model(
 
     Args:
         training: registrations of the start model's side and topology.
-        start: gives topology, tree, names, parts, landmarks and limits, and where to begin; its correctives are not
-            used.
+        start: gives topology, tree, names, parts, landmarks and limits, and where to begin: with the four strongest
+            joints of every vertex; its correctives are not used.
         options: what is learned.
         on_step: told of every step.
 
@@ -81,7 +83,8 @@ class _Learning:
         self.kept = np.ones(count, dtype=bool)
         shaped = self._shaped_templates()
         distances = geodesic_joint_distances(start.template, start.faces, start.joint_regressor)
-        self.priors = Priors(shaped, start.skinning_weights.astype(np.float64), distances[1:])
+        weights = strongest_joints(start.skinning_weights.astype(np.float64))
+        self.priors = Priors(shaped, weights, distances[1:])
         K, V = start.joint_count, start.vertex_count
         rotations = matrix_from_axis_angle(training.poses.reshape(-1, 3).astype(np.float64))
         self.state = LearningState(
@@ -119,10 +122,10 @@ class _Learning:
         if not self.options.neutral_first:
             return
         even = self.data
+        self._step(0, "bone motions", first_joints(self.state, even, self.priors, self.options))
         for _ in range(2):
             self.data = replace(even, importance=_neutral_importance(self.state, even, self.options))
             self._step(0, "neutral templates", self._templates())
-            self._step(0, "neutral templates", fit_joints(self.state, self.data, self.options))
             self.data = even
             self._step(0, "poses", fit_poses(self.state, self.data))
         if self.options.correctives:
@@ -132,7 +135,7 @@ class _Learning:
         options = self.options
         self._step(sweep, "poses", fit_poses(self.state, self.data))
         self._step(sweep, "templates", self._templates())
-        self._step(sweep, "joints", fit_joints(self.state, self.data, options))
+        self._step(sweep, "joints", fit_joints(self.state, self.data, options.joint_strength))
         if options.correctives:
             self._step(sweep, "correctives", self._correctives())
         if sweep < _FIRST_SWEEPS:
@@ -141,7 +144,6 @@ class _Learning:
             self._step(
                 sweep, "weights", fit_weights(self.state, self.data, self.priors, options, self.candidates)
             )
-        self._step(sweep, "regressor", self._with_regressor())
 
     def _templates(self) -> LearningState:
         return fit_templates(self.state, self.data, self.priors, self.options)
@@ -170,16 +172,38 @@ class _Learning:
         trimmed = replace(
             self.state, rotations=self.state.rotations[good], translations=self.state.translations[good]
         )
-        self._step(sweep, "trim", trimmed)
+        self._step(sweep, "trim", self._without_empty_hands(trimmed))
+
+    def _without_empty_hands(self, state: LearningState) -> LearningState:
+        """A hand that has no registration left has a template of wrecks, and no place in the shape space."""
+        present = np.unique(self.data.hands)
+        if len(present) == len(self.hands):
+            return state
+        whose = dict(zip(self.training.hands, self.training.subjects, strict=True))
+        self.hands = tuple(self.hands[number] for number in present)
+        people = len({whose[hand] for hand in self.hands})
+        if people < self.options.fewest_subjects:
+            raise LearningError(
+                f"registrations of {people} people are left without those that lie far from all others; at least "
+                f"{self.options.fewest_subjects} are needed: look at the registrations, or raise trim"
+            )
+        self.data = replace(self.data, hands=np.searchsorted(present, self.data.hands))
+        self.priors = replace(self.priors, templates=self.priors.templates[present])
+        return replace(state, templates=state.templates[present], joints=state.joints[present])
 
     def _tie(self, sweep: int) -> None:
-        """The model has no joints of its own: put them where the regressor says, and let the rest follow."""
+        """The model has no joints of its own: put them where a learned regressor says, and let the rest follow."""
+        self._step(sweep, "regressor", self._with_regressor())
         for _ in range(_TIED_PASSES):
             regressed = np.stack([self.state.regressor @ template for template in self.state.templates])
             self._step(sweep, "tie", replace(self.state, joints=regressed))
             self._step(sweep, "poses", fit_poses(self.state, self.data, 3))
+            self._step(sweep, "templates", self._templates())
             if self.options.correctives:
                 self._step(sweep, "correctives", self._correctives())
+        regressed = np.stack([self.state.regressor @ template for template in self.state.templates])
+        self._step(sweep, "tie", replace(self.state, joints=regressed))
+        self._step(sweep, "poses", fit_poses(self.state, self.data, 3))
 
     def _step(self, sweep: int, name: str, state: LearningState) -> None:
         self.state = state

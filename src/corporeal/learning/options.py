@@ -25,7 +25,9 @@ class LearningOptions:
         weights: learn skinning weights.
         weight_strength: of the start model's weights; a displacement of 1 cm per unit of weight is one observation.
         template_strength: of the start model's shape, per vertex of a personal template.
-        joint_strength: of the regressed joints.
+        joint_strength: of the start model's joints: it decides where a joint lies along an axis about which alone it
+            turns.
+        first_passes: over joints, poses and nearly rigid parts, before there are templates.
         shape_count: most shape directions.
         mixture_components: of the pose mixture.
         trim: registrations that lie farther from the learned model than the median by so many median deviations are
@@ -34,18 +36,19 @@ class LearningOptions:
         seed: of the mixture.
     """
 
-    sweeps: int = 12
+    sweeps: int = 8
     settled: float = 2e-3
     neutral_first: bool = True
     neutral_floor: float = 1.0
     correctives: bool = True
     regularisation: Literal["geodesic", "constant"] = "geodesic"
-    corrective_strength: float = 0.5
+    corrective_strength: float = 5.0
     constant_distance: float = 0.04
     weights: bool = True
     weight_strength: float = 20.0
-    template_strength: float = 0.02
-    joint_strength: float = 200.0
+    template_strength: float = 0.5
+    joint_strength: float = 10.0
+    first_passes: int = 12
     shape_count: int = 30
     mixture_components: int = 10
     trim: float = 6.0

@@ -62,9 +62,11 @@ def _tied_solution(
 
 
 def fit_joints(
-    state: LearningState, data: Registrations, options: LearningOptions
+    state: LearningState, data: Registrations, strength: float, held: Float[np.ndarray, "H K 3"] | None = None
 ) -> LearningState:
     """Every hand's joints together with the translations of its registrations, which are eliminated.
+
+    They are held to ``held``, or to where the regressor puts them, by ``strength`` observations.
 
     A vertex moves with joint m by s_m (R_parent - R_m), where s_m is the weight of m and all its descendants.
     """
@@ -75,9 +77,10 @@ def fit_joints(
     mean = carried.mean(axis=0)
     centred = carried - mean
     spread = centred.T @ centred
-    regressed = np.stack([state.regressor @ template for template in state.templates])
-    systems = np.tile(options.joint_strength * np.eye(3 * K), (H, 1, 1))
-    pulls = options.joint_strength * (regressed - state.joints).reshape(H, -1)
+    if held is None:
+        held = np.stack([state.regressor @ template for template in state.templates])
+    systems = np.tile(strength * np.eye(3 * K), (H, 1, 1))
+    pulls = strength * (held - state.joints).reshape(H, -1)
     residual_means = np.empty((len(data.hands), 3))
     weights = state.weight_table()
     levers = np.empty((len(data.hands), K, 3, 3))

@@ -22,6 +22,8 @@ from corporeal.registration.session.records import (
 )
 
 MANIFEST = "manifest.json"
+MODEL = "model.npz"
+"""A copy of the model, so that the records can be read when the file that it came from has changed."""
 ITEMS = "session.json"
 DECISIONS = "decisions.jsonl"
 PRIORS = "priors.npz"
@@ -182,7 +184,7 @@ def remove_results(folder: Path | str) -> list[str]:
     folder, kept = Path(folder), []
     for path in record_folder(folder).glob("*.npz"):
         path.unlink()
-    for name in (PRIORS, ITEMS, MANIFEST):
+    for name in (PRIORS, ITEMS, MODEL, MANIFEST):
         (folder / name).unlink(missing_ok=True)
     decisions = folder / DECISIONS
     if decisions.exists():

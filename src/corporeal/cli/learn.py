@@ -1,0 +1,186 @@
+"""``corporeal learn``: registered sessions -> a model file."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+import corporeal
+from corporeal.cli.commands import Learn
+from corporeal.cli.errors import CommandError
+from corporeal.cli.files import check_output_folder, check_result, write_result
+from corporeal.cli.named_models import named_model
+from corporeal.cli.session_pictures import model_of
+from corporeal.learning.files import companion_path, save_learned
+from corporeal.learning.learn import learn_model
+from corporeal.learning.learned import LearnedModel, StepLog
+from corporeal.learning.options import LearningOptions
+from corporeal.learning.training_set import LearningError, TrainingSet, training_set
+from corporeal.model.files import ModelFileError
+from corporeal.model.surface_model import SurfaceModel
+from corporeal.registration.session.files import (
+    MANIFEST,
+    SessionFolderError,
+    read_decisions,
+    read_json_file,
+    read_records,
+)
+from corporeal.registration.session.model_digest import model_digest
+from corporeal.registration.session.records import RecordError
+
+
+def run(config: Learn) -> int:
+    """Learn, write the model and what it was learned with; 0 when both are written."""
+    _check_call(config)
+    console = Console(stderr=True)
+    begun = time.monotonic()
+    start = named_model(Path(config.start)) if config.start else model_of(config.registrations[0])
+    training = gathered(config.registrations, start)
+    if config.sides == "right-only":
+        training = _of_side(training, "right")
+    options = LearningOptions(
+        correctives=config.correctives,
+        regularisation=config.regularisation,
+        neutral_first=config.neutral_first,
+        seed=config.seed,
+    )
+    learned = learned_from(training, start, options, console)
+    learned = dataclasses.replace(
+        learned, model=described(learned, start, config.name or start.name, config.registrations)
+    )
+    try:
+        save_learned(learned, config.output)
+    except (OSError, ModelFileError) as error:
+        raise CommandError(f"-o {config.output}: cannot be written: {error}") from error
+    seconds = time.monotonic() - begun
+    if config.json is not None:
+        write_result(config.json, result_of(learned, seconds))
+    console.print(_summary(learned, config.output, seconds), highlight=False, soft_wrap=True, markup=False)
+    return 0
+
+
+def gathered(folders: Sequence[Path], start: SurfaceModel) -> TrainingSet:
+    """The accepted registrations of all folders.
+
+    People of the same name in two folders are one person only where the folders register one session.
+
+    Raises:
+        CommandError: a folder cannot be read, or was registered with another model than the start.
+    """
+    together: TrainingSet | None = None
+    try:
+        for folder in folders:
+            manifest = read_json_file(folder / MANIFEST) or {}
+            _check_model(folder, manifest, start)
+            found = training_set(read_records(folder), start, read_decisions(folder))
+            together = found if together is None else together.joined(found)
+    except (RecordError, SessionFolderError, LearningError) as error:
+        raise CommandError(str(error), 2) from error
+    if together is None:
+        raise CommandError("REG: give at least one folder that corporeal register wrote to", 2)
+    return together
+
+
+def learned_from(
+    training: TrainingSet, start: SurfaceModel, options: LearningOptions, console: Console
+) -> LearnedModel:
+    """Learn with a line per sweep on the console.
+
+    Raises:
+        CommandError: nothing can be learned from this.
+    """
+    people = len(set(training.subjects))
+    console.print(
+        f"{len(training)} registrations of {len(set(training.hands))} hands of {people} people",
+        highlight=False, soft_wrap=True,
+    )  # fmt: skip
+    last: list[StepLog] = []
+
+    def on_step(step: StepLog) -> None:
+        if last and step.sweep != last[-1].sweep:
+            _say(console, last[-1])
+        last.append(step)
+
+    try:
+        learned = learn_model(training, start, options, on_step)
+    except LearningError as error:
+        raise CommandError(str(error)) from error
+    _say(console, learned.log[-1])
+    if learned.left_out:
+        console.print(
+            f"left out, because the model cannot explain them: {', '.join(learned.left_out)}",
+            highlight=False, soft_wrap=True,
+        )  # fmt: skip
+    return learned
+
+
+def described(
+    learned: LearnedModel, start: SurfaceModel, name: str, folders: Sequence[Path]
+) -> SurfaceModel:
+    """The model with its name and where it comes from."""
+    notes = dict(start.notes) | {
+        "learned": f"corporeal {corporeal.__version__} learn, from {len(learned.names)} registrations of "
+        f"{len(learned.hands)} hands of {len(set(learned.subjects))} people",
+        "learned from": ", ".join(folder.name for folder in folders),
+        "correctives": "learned from registrations" if learned.model.has_correctives else "none",
+    }
+    return learned.model.replace(name=name, notes=notes)
+
+
+def result_of(learned: LearnedModel, seconds: float) -> dict[str, Any]:
+    """The machine-readable result."""
+    return {
+        "registrations": len(learned.names),
+        "hands": len(learned.hands),
+        "subjects": len(set(learned.subjects)),
+        "left_out": list(learned.left_out),
+        "rms_mm": float(learned.log[-1].rms_mm),
+        "seconds": seconds,
+        "log": [dataclasses.asdict(step) for step in learned.log],
+    }
+
+
+def _say(console: Console, step: StepLog) -> None:
+    console.print(
+        f"sweep {step.sweep}: {step.rms_mm:.3f} mm from {step.registrations} registrations, objective "
+        f"{1e3 * step.objective:.4g}",
+        highlight=False, soft_wrap=True,
+    )  # fmt: skip
+
+
+def _of_side(training: TrainingSet, side: str) -> TrainingSet:
+    import numpy as np
+
+    return training.subset(np.array([hand.endswith(f"/{side}") for hand in training.hands]))
+
+
+def _check_model(folder: Path, manifest: Mapping[str, Any], start: SurfaceModel) -> None:
+    named = manifest.get("model", {})
+    if isinstance(named, dict) and named.get("sha256") not in (None, model_digest(start)):
+        raise CommandError(
+            f"{folder}: was registered with another model ({named.get('name')!r}) than the start {start.name!r}; give "
+            "the file of that model with --start",
+            2,
+        )
+
+
+def _check_call(config: Learn) -> None:
+    if config.output.suffix != ".npz":
+        raise CommandError(f"-o {config.output}: name a file that ends in .npz", 2)
+    check_output_folder(config.output.parent)
+    if config.output.is_dir() or companion_path(config.output).is_dir():
+        raise CommandError(f"-o {config.output}: is a folder; name a file", 2)
+    if config.json is not None:
+        check_result(config.json)
+
+
+def _summary(learned: LearnedModel, output: Path, seconds: float) -> str:
+    return (
+        f"{output}: {learned.model.vertex_count} vertices, {learned.model.shape_count} shape directions; "
+        f"{learned.log[-1].rms_mm:.2f} mm from {len(learned.names)} registrations; {seconds:.0f} s"
+    )
