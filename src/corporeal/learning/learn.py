@@ -117,15 +117,15 @@ class _Learning:
         return self._finished()
 
     def _first_templates(self) -> None:
-        """Personal templates from registrations near the zero pose, before there are correctives."""
+        """Joints from nearly rigid parts, then templates from registrations near the zero pose (equation 11)."""
         self._step(0, "poses", fit_poses(self.state, self.data, 4))
-        if not self.options.neutral_first:
-            return
         even = self.data
         self._step(0, "bone motions", first_joints(self.state, even, self.priors, self.options))
         for _ in range(2):
-            self.data = replace(even, importance=_neutral_importance(self.state, even, self.options))
-            self._step(0, "neutral templates", self._templates())
+            if self.options.neutral_first:
+                importance = _neutral_importance(self.state, even, self.options)
+                self.data = replace(even, importance=importance)
+            self._step(0, "first templates", self._templates())
             self.data = even
             self._step(0, "poses", fit_poses(self.state, self.data))
         if self.options.correctives:

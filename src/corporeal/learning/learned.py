@@ -16,8 +16,8 @@ class StepLog:
 
     Attributes:
         sweep: 0 for the first templates, then the sweeps; steps of one sweep share it.
-        step: "poses", "templates", "joints", "correctives", "weights", "regressor", and "neutral templates", "trim"
-            and "tie", which change the objective itself.
+        step: "poses", "templates", "joints", "correctives", "weights", "regressor", and "bone motions" and
+            "first templates", which serve another objective, and "trim" and "tie", which change this one.
         registrations: how many it is measured over.
         objective: the whole, square metres.
         data: its data part.
