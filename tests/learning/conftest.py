@@ -112,7 +112,7 @@ def registrations(
     )
 
 
-def made_tube(seed: int = 1, *, people: int = 8, count: int = 16, noise: float = NOISE) -> KnownTube:
+def made_tube(seed: int = 1, *, people: int = 8, count: int = 11, noise: float = NOISE) -> KnownTube:
     """The known model with registrations of it, and others of the same people that are held out."""
     rng = np.random.default_rng(seed)
     model = known_model(rng)
@@ -125,7 +125,7 @@ def made_tube(seed: int = 1, *, people: int = 8, count: int = 16, noise: float =
         model,
         start.replace(side="right"),
         registrations(model, rng, coefficients, count, noise),
-        registrations(model, rng, coefficients, 3, noise),
+        registrations(model, rng, coefficients, 2, noise),
         coefficients,
     )
 
