@@ -105,7 +105,7 @@ def training_set(
     for record in accepted:
         _check(record, model)
     sides = [record.side for record in accepted]
-    turned = np.array([side is not None and side != model.side for side in sides])
+    turned = [side is not None and side != model.side for side in sides]
     people = tuple(str(record.row.get("subject") or record.name) for record in accepted)
     shapes = np.zeros((len(accepted), max(len(_given(record.shape)) for record in accepted)))
     for row, record in zip(shapes, accepted, strict=True):
