@@ -158,6 +158,17 @@ def test_angles_beyond_half_a_turn_are_taken_back(small):
     assert np.abs(turned.model.pose_blocks[0].mean - plain.model.pose_blocks[0].mean).max() < 1e-6
 
 
+@pytest.mark.parametrize("spread", [0.0, 0.5])
+def test_poor_start_poses_lead_to_the_same_model(small, rng, spread):
+    """All zero, or off by half a radian on every axis."""
+    rough = small.training.poses + spread * rng.standard_normal(small.training.poses.shape)
+    poses = rough if spread else np.zeros_like(rough)
+    poor = learn_model(dataclasses.replace(small.training, poses=poses), small.start, QUICK)
+    good = learn_model(small.training, small.start, QUICK)
+    assert poor.rms_mm.mean() < 1.05 * good.rms_mm.mean()
+    assert 1e3 * np.linalg.norm(poor.model.template - good.model.template, axis=1).max() < 0.1
+
+
 def test_left_is_right_mirrored(learned, rng):
     model = learned.model
     left = mirror_model(model)
