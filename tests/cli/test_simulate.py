@@ -92,13 +92,38 @@ def test_other_options_do_not_continue_a_session(made, tmp_path):
         simulate.run(Simulate(tmp_path, subjects=1, poses=8, seed=1))
 
 
+def test_a_session_of_before_the_natural_share_goes_on(made, tmp_path):
+    simulate.run(Simulate(tmp_path, subjects=1, poses=8))
+    file = tmp_path / "session.json"
+    content = json.loads(file.read_text())
+    del content["options"]["natural_share"]
+    file.write_text(json.dumps(content))
+    simulate.run(Simulate(tmp_path, subjects=1, poses=8))
+    with pytest.raises(CommandError, match="--natural-share 0.15"):
+        simulate.run(Simulate(tmp_path, subjects=1, poses=8, natural_share=0.3))
+
+
+def test_more_natural_poses_leave_the_other_scans_as_they_were():
+    few, many = (
+        plan_session(SimulationOptions(subjects=2, natural_share=share, bad_one_in=0))
+        for share in (0.15, 0.5)
+    )
+    assert [scan.name for scan in few] == [scan.name for scan in many]
+    natural_few, natural_many = (
+        {scan.name for scan in plan if scan.protocol_pose == "natural"} for plan in (few, many)
+    )
+    assert natural_few < natural_many
+
+
 def test_a_folder_that_cannot_be_made_is_said(made, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(CommandError, match="cannot be written"):
         simulate.run(Simulate(tmp_path / "file", subjects=1))
 
 
-@pytest.mark.parametrize("wrong", [{"subjects": 0}, {"poses": 0}, {"bad_one_in": -1}, {"workers": -1}])
+@pytest.mark.parametrize(
+    "wrong", [{"subjects": 0}, {"poses": 0}, {"bad_one_in": -1}, {"workers": -1}, {"natural_share": 1.5}]
+)
 def test_wrong_numbers_are_refused(tmp_path, wrong):
     with pytest.raises(CommandError, match="expected"):
         simulate.run(Simulate(tmp_path, **wrong))

@@ -94,6 +94,7 @@ class Simulate:
         sides: which hands.
         objects: put green objects into grasps.
         bad_one_in: one scan in so many is spoilt on purpose; 0 for none.
+        natural_share: share of scans that show a pose of no protocol, between recorded ones.
         workers: processes; 0 for one per core.
         json: also write the machine-readable result to this file.
     """
@@ -105,6 +106,7 @@ class Simulate:
     sides: Literal["both", "right", "left"] = "both"
     objects: bool = False
     bad_one_in: int = 40
+    natural_share: float = 0.15
     workers: int = 0
     json: Annotated[Path | None, tyro.conf.arg()] = None
 

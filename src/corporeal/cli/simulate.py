@@ -23,6 +23,7 @@ from corporeal.cli.files import check_result, write_json, write_result
 from corporeal.export.meshes import write_ply
 from corporeal.scans.simulation.faults import spoiled_bytes
 from corporeal.scans.simulation.simulate import (
+    NATURAL_SHARE,
     PlannedScan,
     ScanTruth,
     SimulationOptions,
@@ -39,7 +40,13 @@ _SINGLE = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_
 def run(config: Simulate) -> int:
     """Make what is missing of a session."""
     options = SimulationOptions(
-        config.subjects, config.poses, config.seed, config.sides, config.objects, config.bad_one_in
+        config.subjects,
+        config.poses,
+        config.seed,
+        config.sides,
+        config.objects,
+        config.bad_one_in,
+        config.natural_share,
     )
     _check_call(config)
     plan = plan_session(options)
@@ -164,6 +171,8 @@ def _check_same(path: Path, options: dict[str, Any]) -> None:
         before = json.loads(path.read_text()).get("options", {})
     except (ValueError, AttributeError) as error:
         raise CommandError(f"{path}: is no session file: {error}", 2) from error
+    # Sessions of before there was this option hold the share that it has by default.
+    before.setdefault("natural_share", NATURAL_SHARE)
     changed = [name for name, value in options.items() if before.get(name) != value]
     if changed:
         words = ", ".join(f"--{name.replace('_', '-')} {before.get(name)}" for name in changed)
@@ -178,5 +187,7 @@ def _check_call(config: Simulate) -> None:
             raise CommandError(f"--{name}: expected at least 1, got {getattr(config, name)}", 2)
     if config.bad_one_in < 0 or config.workers < 0 or config.seed < 0:
         raise CommandError("--bad-one-in, --workers and --seed: expected 0 or more", 2)
+    if not 0 <= config.natural_share <= 1:
+        raise CommandError(f"--natural-share: expected 0 to 1, got {config.natural_share}", 2)
     if config.json is not None:
         check_result(config.json)

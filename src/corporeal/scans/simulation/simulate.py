@@ -44,6 +44,7 @@ class SimulationOptions:
         sides: which hands.
         objects: put green objects into grasps.
         bad_one_in: one scan in so many is spoilt on purpose; 0 for none.
+        natural_share: share of a hand's scans that show a pose of no protocol, between recorded ones.
     """
 
     subjects: int = 31
@@ -52,6 +53,7 @@ class SimulationOptions:
     sides: Literal["both", "right", "left"] = "both"
     objects: bool = False
     bad_one_in: int = 40
+    natural_share: float = NATURAL_SHARE
 
 
 @dataclass(frozen=True)
@@ -110,7 +112,7 @@ def plan_session(options: SimulationOptions) -> tuple[PlannedScan, ...]:
         for side in sides:
             generator = np.random.default_rng([options.seed, 2, number, side == "left"])
             for index in subset_for(len(poses), generator):
-                natural = generator.random() < NATURAL_SHARE
+                natural = generator.random() < options.natural_share
                 name = f"s{number + 1:02d}_p{index + 1:02d}_{side}"
                 pose = _NATURAL if natural else poses[index].name
                 fault = choose_fault(name, options.seed, options.bad_one_in) if options.bad_one_in else ""
