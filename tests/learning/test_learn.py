@@ -179,6 +179,24 @@ def test_left_is_right_mirrored(learned, rng):
     assert np.abs(left(shape, mirror_pose(pose)).vertices.numpy() - expected).max() < 1e-12
 
 
+def test_learning_does_not_know_left_from_right(small):
+    """Mirrored registrations and a mirrored start give the mirrored model."""
+    training = small.training
+    mirrored = dataclasses.replace(
+        training,
+        vertices=training.vertices * [-1, 1, 1],
+        poses=training.poses * [1, -1, -1],
+        translations=training.translations * [-1, 1, 1],
+    )
+    left = learn_model(mirrored, mirror_model(small.start), QUICK)
+    right = mirror_model(learn_model(training, small.start, QUICK).model)
+    for name in ("template", "pose_directions", "skinning_weights"):
+        assert np.abs(getattr(left.model, name) - getattr(right, name)).max() < 1e-9, name
+    # A direction may point the other way: its sign is that of its largest number.
+    turned = np.sign(np.einsum("vas,vas->s", left.model.shape_directions, right.shape_directions))
+    assert np.abs(left.model.shape_directions - turned * right.shape_directions).max() < 1e-9
+
+
 def test_the_same_input_gives_the_same_bytes(small):
     first, second = (learn_model(small.training, small.start, QUICK) for _ in range(2))
     for name in ("template", "shape_directions", "pose_directions", "skinning_weights"):
