@@ -99,7 +99,7 @@ def test_a_session_of_before_the_natural_share_goes_on(made, tmp_path):
     del content["options"]["natural_share"]
     file.write_text(json.dumps(content))
     simulate.run(Simulate(tmp_path, subjects=1, poses=8))
-    with pytest.raises(CommandError, match="--natural-share 0.15"):
+    with pytest.raises(CommandError, match=r"--natural-share 0\.15"):
         simulate.run(Simulate(tmp_path, subjects=1, poses=8, natural_share=0.3))
 
 
