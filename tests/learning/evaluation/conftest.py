@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from corporeal.geometry.normals import vertex_normals
-from corporeal.learning.evaluation.model_fit import start_on
+from corporeal.learning.evaluation.fit_start import start_on
+from corporeal.learning.evaluation.protocols import FitProtocol
 from corporeal.model.jacobian import evaluate
 from corporeal.model.statistics import PoseBlock
 from corporeal.model.surface_model import SurfaceModel
@@ -26,8 +27,8 @@ class KnownScan:
     pose: np.ndarray
     vertices: np.ndarray
 
-    def start(self, model: SurfaceModel) -> ModelParameters:
-        return start_on(model, self.pose, self.vertices)
+    def start(self, model: SurfaceModel, protocol: FitProtocol) -> ModelParameters:
+        return start_on(model, self.pose, self.vertices, protocol)
 
 
 def known_scan(model: SurfaceModel, true: ModelParameters, seed: int, noise: float) -> KnownScan:

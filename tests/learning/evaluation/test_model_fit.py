@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from corporeal.learning.evaluation.model_fit import ModelFitter, PoseAndShape, PoseOnly, fit_model, start_on
+from corporeal.learning.evaluation.model_fit import ModelFitter, fit_model
+from corporeal.learning.evaluation.protocols import PoseAndShape, PoseOnly
 from corporeal.model.files import open_model
 from corporeal.model.jacobian import evaluate
 from corporeal.model.surface_model import CutPlane
@@ -16,7 +17,7 @@ from corporeal.terms.model_fields import ModelParameters
 def test_the_full_pose_reaches_the_noise(bent_tube, tube_scan, personal):
     known = tube_scan(1)
     model = personal(bent_tube, known.true)
-    fit = fit_model(model, known.scan, known.start(model), PoseOnly())
+    fit = fit_model(model, known.scan, known.start(model, PoseOnly()), PoseOnly())
     assert fit.status == "ok" and fit.parameters.shape.shape == (0,)
     # Half-normal: the mean distance of noise of 0.1 mm is 0.08 mm.
     assert fit.s2m_mm["mean"] < 0.09 and fit.s2m_mm["p95"] < 0.25
@@ -28,7 +29,7 @@ def test_the_full_pose_reaches_the_noise(bent_tube, tube_scan, personal):
 def test_the_objective_falls_with_the_components_and_poses_lie_in_them(bent_tube, tube_scan, personal):
     known = tube_scan(2)
     model = personal(bent_tube, known.true)
-    fits, full = ModelFitter(model, known.scan, known.start(model), PoseOnly()).fit_all(range(7))
+    fits, full = ModelFitter(model, known.scan, known.start(model, PoseOnly()), PoseOnly()).fit_all(range(7))
     objectives = [fit.objective for fit in [*fits, full]]
     assert np.all(np.diff(objectives) <= 0)
     assert fits[0].s2m_mm["mean"] > 3 * fits[6].s2m_mm["mean"]
@@ -44,7 +45,7 @@ def test_correctives_count_and_can_be_left_out(bent_tube, tube_scan, personal):
     known = tube_scan(3)
     model = personal(bent_tube, known.true)
     on, off = (
-        fit_model(model, known.scan, known.start(model), PoseOnly(), correctives=correctives)
+        fit_model(model, known.scan, known.start(model, PoseOnly()), PoseOnly(), correctives=correctives)
         for correctives in (True, False)
     )
     assert off.s2m_mm["mean"] > 1.5 * on.s2m_mm["mean"]
@@ -52,30 +53,23 @@ def test_correctives_count_and_can_be_left_out(bent_tube, tube_scan, personal):
 
 def test_a_free_shape_is_found_from_the_template(bent_tube, tube_scan):
     known = tube_scan(4)
-    fit = fit_model(bent_tube, known.scan, known.start(bent_tube), PoseAndShape())
+    fit = fit_model(bent_tube, known.scan, known.start(bent_tube, PoseAndShape()), PoseAndShape())
     assert fit.s2m_mm["mean"] < 0.12
     assert np.abs(fit.parameters.shape - known.true.shape).max() < 0.3
-    few = fit_model(bent_tube, known.scan, known.start(bent_tube), PoseAndShape(shape_count=1))
+    few = fit_model(
+        bent_tube,
+        known.scan,
+        known.start(bent_tube, PoseAndShape(shape_count=1)),
+        PoseAndShape(shape_count=1),
+    )
     assert few.parameters.shape.shape == (1,) and few.s2m_mm["mean"] > fit.s2m_mm["mean"]
-
-
-def test_a_start_lies_on_the_registration_wherever_the_root_is(bent_tube, rng):
-    R, t = Rotation.random(random_state=3).as_matrix(), rng.normal(size=3)
-    pose = 0.4 * rng.normal(size=(3, 3))
-    vertices = evaluate(bent_tube, np.zeros(0), pose, np.zeros(3)).vertices @ R.T + t
-    start = start_on(bent_tube, pose, vertices)
-    laid = evaluate(bent_tube, np.zeros(0), start.pose, start.translation).vertices
-    assert np.abs(laid - vertices).max() < 1e-9
-    assert np.array_equal(start.pose[1:], pose[1:])
-    with pytest.raises(ValueError, match="share template and tree"):
-        start_on(bent_tube, pose, vertices[:-1])
 
 
 def test_a_protocol_that_the_model_does_not_suit_is_refused(bent_tube, tube_scan):
     known = tube_scan(5)
-    start = known.start(bent_tube)
+    start = known.start(bent_tube, PoseAndShape())
     with pytest.raises(ValueError, match="personal model"):
-        fit_model(bent_tube, known.scan, start, PoseOnly())
+        fit_model(bent_tube, known.scan, dataclasses.replace(start, shape=np.zeros(0)), PoseOnly())
     with pytest.raises(ValueError, match="start: shape"):
         fit_model(bent_tube, known.scan, dataclasses.replace(start, shape=np.zeros(2)), PoseAndShape())
     with pytest.raises(ValueError, match="expected 0 to 6"):
@@ -87,7 +81,7 @@ def test_a_protocol_that_the_model_does_not_suit_is_refused(bent_tube, tube_scan
 def test_a_scan_behind_the_cut_plane_fails_and_says_so(bent_tube, tube_scan):
     known = tube_scan(6)
     model = bent_tube.replace(cut=CutPlane(0, np.zeros(3), np.array([-1.0, 0, 0])))
-    start = known.start(model)
+    start = known.start(model, PoseAndShape())
     kept_side = Rotation.from_rotvec(start.pose[0]).apply([-1, 0, 0])
     away = dataclasses.replace(start, translation=start.translation + kept_side)
     fits, full = ModelFitter(model, known.scan, away, PoseAndShape()).fit_all([2])
@@ -107,7 +101,7 @@ def test_points_before_the_cut_plane_are_not_scored(bent_tube, tube_scan, person
     points = known.scan.points.copy()
     points[along < np.quantile(along, 0.1)] += 5.0
     spoiled = dataclasses.replace(known.scan, points=points)
-    start = known.start(model)
+    start = known.start(model, PoseOnly())
     assert fit_model(model, spoiled, start, PoseOnly()).s2m_mm["mean"] > 100
     assert fit_model(cut_model, known.scan, start, PoseOnly()).s2m_mm["mean"] < 0.09
 
@@ -120,8 +114,8 @@ def test_the_hand_in_the_box(make_scan, personal):
     true = ModelParameters(rng.normal(scale=0.3, size=3), pose, 0.8 * rng.normal(size=hand.shape_count))
     known = make_scan(hand, true, 8, 2e-4)
     own = personal(hand, true)
-    fits, full = ModelFitter(own, known.scan, known.start(own), PoseOnly()).fit_all([6])
+    fits, full = ModelFitter(own, known.scan, known.start(own, PoseOnly()), PoseOnly()).fit_all([6])
     # Half-normal: the mean distance of noise of 0.2 mm is 0.16 mm.
     assert full.s2m_mm["mean"] < 0.17 < fits[0].s2m_mm["mean"]
-    free = fit_model(hand, known.scan, known.start(hand), PoseAndShape())
+    free = fit_model(hand, known.scan, known.start(hand, PoseAndShape()), PoseAndShape())
     assert free.s2m_mm["mean"] < 0.2

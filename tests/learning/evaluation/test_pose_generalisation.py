@@ -5,7 +5,6 @@ import dataclasses
 import numpy as np
 import pytest
 
-from corporeal.learning.evaluation.model_fit import PoseAndShape, PoseOnly
 from corporeal.learning.evaluation.pose_generalisation import (
     ComparedModel,
     HeldOutScan,
@@ -13,6 +12,7 @@ from corporeal.learning.evaluation.pose_generalisation import (
     fitted,
     pose_generalisation,
 )
+from corporeal.learning.evaluation.protocols import PoseAndShape, PoseOnly
 from corporeal.learning.evaluation.results import ScanError, ScanResult
 
 

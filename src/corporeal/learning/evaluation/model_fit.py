@@ -10,15 +10,13 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from corporeal.learning.evaluation.alignment import rigid_onto
-from corporeal.learning.evaluation.results import Protocol
+from corporeal.learning.evaluation.protocols import FitProtocol, free_shape_count
 from corporeal.model.jacobian import evaluate
 from corporeal.model.surface_model import SurfaceModel
 from corporeal.registration.gaussian_pose import GaussianPose
 from corporeal.registration.measures import beyond_cut, scan_to_mesh
 from corporeal.registration.options import RegistrationOptions, SurfaceStage
 from corporeal.registration.stages import Fitter
-from corporeal.registration.starts import turned
 from corporeal.registration.target import SampledPoints, Target
 from corporeal.scans.scan import Scan
 from corporeal.solve.dogleg import Solution
@@ -26,8 +24,8 @@ from corporeal.terms.model_fields import ModelParameters
 from corporeal.terms.pose_subspace import pose_subspace
 
 # The same weak prior for every model, so that none gains by its own: each axis-angle number about zero with
-# this standard deviation, radians. Against 3,000 distances of 1 mm it moves no joint by a thousandth of a
-# radian; it only settles what a scan does not show, such as fingers hidden in a fist.
+# this standard deviation, radians. Against 3,000 distances of 1 mm it turns no finger that is seen by more
+# than a hundredth of a radian; it settles what a scan does not show, such as fingertips hidden in a fist.
 _POSE_SIGMA = 1.0
 # Scan points up to so far before the wrist plane, metres, are fitted to: the same for all fits of a scan, so
 # that their objectives compare.
@@ -52,36 +50,9 @@ _STAGES = (
     ),
 )  # fmt: skip
 
-
-@dataclass(frozen=True)
-class PoseOnly:
-    """Paper 5.1, for the pose space: a personal template, made from other scans, and only the pose free."""
-
-    @property
-    def name(self) -> Protocol:
-        """As the figures say it."""
-        return "pose only"
-
-
-@dataclass(frozen=True)
-class PoseAndShape:
-    """Paper 5.1, "effect of parameter learning": the shape free too.
-
-    The prior of the shape is the plain norm of the coefficients, each in its model's own standard deviations.
-
-    Attributes:
-        shape_count: most shape coefficients solved for.
-    """
-
-    shape_count: int = 30
-
-    @property
-    def name(self) -> Protocol:
-        """As the figures say it."""
-        return "pose and shape free"
-
-
-FitProtocol = PoseOnly | PoseAndShape
+# The ways of a full fit: wide to narrow, and with later beginnings, since its start is near. A model that is
+# fitted with the full pose alone must not end worse than one that comes to it through few components.
+_PATHS = (_STAGES, _STAGES[1:], _STAGES[2:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +143,8 @@ class ModelFitter:
         if components is not None:
             subspace = pose_subspace(self._model, self._fitter.fields.columns, components)
         fitter = self._fitter.within(subspace)
-        found = [_annealed(fitter, self._start)]
+        paths = _PATHS if components is None else _PATHS[:1]
+        found = [_along(fitter, self._start, stages) for stages in paths]
         known = fewer is not None and fewer.status == "ok"
         if fewer is not None and known:
             found.append(fitter.fit_surface(fewer.parameters.vector(), _STAGES[-1]))
@@ -219,34 +191,6 @@ class ModelFitter:
         return ModelFit(start, components, float("inf"), "failed", reason, {})
 
 
-def start_on(
-    model: SurfaceModel, pose: Float[np.ndarray, "K 3"], vertices: Float[np.ndarray, "V 3"]
-) -> ModelParameters:
-    """The template in a registration's pose, laid rigidly onto its vertices.
-
-    Models differ in where their root joint lies, about which the root turns: the registration's own
-    translation would misplace them.
-
-    Args:
-        model: of the registration's side and topology.
-        pose: axis-angle of the registration, radians.
-        vertices: of the registration, metres.
-
-    Raises:
-        ValueError: shapes that do not fit the model.
-    """
-    if vertices.shape != model.template.shape or pose.shape != (model.joint_count, 3):
-        raise ValueError(
-            f"vertices {vertices.shape}, pose {pose.shape}: expected {model.template.shape} and "
-            f"({model.joint_count}, 3) of {model.name!r}; compared models share template and tree"
-        )
-    shape, pose = np.zeros(0), pose.astype(np.float64)
-    posed = evaluate(model, shape, pose, np.zeros(3)).vertices
-    R, t = rigid_onto(posed, vertices)
-    vector = turned(model, pose, shape, R, t)
-    return ModelParameters(vector[:3], vector[3:].reshape(-1, 3), shape)
-
-
 class _FixedPointsFitter(Fitter):
     """Fits to all points of its target, which were chosen before, wherever the model stands."""
 
@@ -255,8 +199,8 @@ class _FixedPointsFitter(Fitter):
         return self.target.samples
 
 
-def _annealed(fitter: Fitter, vector: Float[np.ndarray, " Q"]) -> Solution:
-    for stage in _STAGES:
+def _along(fitter: Fitter, vector: Float[np.ndarray, " Q"], stages: Sequence[SurfaceStage]) -> Solution:
+    for stage in stages:
         solution = fitter.fit_surface(vector, stage)
         if not solution.outcome.usable:
             break
@@ -277,25 +221,16 @@ def _settled(fitter: Fitter, solution: Solution) -> Solution:
 def _options(model: SurfaceModel, protocol: FitProtocol, correctives: bool) -> RegistrationOptions:
     size = 3 * (model.joint_count - 1)
     return RegistrationOptions(
-        shape_count=_shape_count(model, protocol),
+        shape_count=free_shape_count(model, protocol),
         correctives=correctives,
         limit_sigma=np.inf,
         pose_prior=GaussianPose(np.zeros(size), _POSE_SIGMA**2 * np.eye(size)),
     )
 
 
-def _shape_count(model: SurfaceModel, protocol: FitProtocol) -> int:
-    return 0 if isinstance(protocol, PoseOnly) else min(protocol.shape_count, model.shape_count)
-
-
 def _checked_start(model: SurfaceModel, start: ModelParameters, protocol: FitProtocol) -> ModelParameters:
     """The start with as many shape coefficients as are solved for."""
-    if isinstance(protocol, PoseOnly) and model.shape_count:
-        raise ValueError(
-            f"protocol: pose only, but {model.name!r} has {model.shape_count} shape directions; give a "
-            "personal model"
-        )
-    count = _shape_count(model, protocol)
+    count = free_shape_count(model, protocol)
     if len(start.shape) not in (0, count) or start.pose.shape != (model.joint_count, 3):
         raise ValueError(
             f"start: shape {start.shape.shape} and pose {start.pose.shape}, expected (0,) or ({count},), and "

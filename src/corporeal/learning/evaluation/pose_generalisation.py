@@ -12,7 +12,9 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from corporeal.learning.evaluation.model_fit import FitProtocol, ModelFit, ModelFitter, start_on
+from corporeal.learning.evaluation.fit_start import start_on
+from corporeal.learning.evaluation.model_fit import ModelFit, ModelFitter
+from corporeal.learning.evaluation.protocols import FitProtocol
 from corporeal.learning.evaluation.results import PoseCurve, ScanError, ScanResult, Summary
 from corporeal.model.surface_model import SurfaceModel
 from corporeal.registration.session.pool import single_threaded
@@ -96,7 +98,7 @@ def pose_generalisation(
 def fitted(model: ComparedModel, held_out: HeldOutScan) -> ScanResult:
     """All fits of one model to one scan."""
     own = model.models[held_out.hand]
-    start = start_on(own, held_out.pose, held_out.vertices)
+    start = start_on(own, held_out.pose, held_out.vertices, model.protocol, correctives=model.correctives)
     fitter = ModelFitter(own, held_out.scan, start, model.protocol, correctives=model.correctives)
     fits, full = fitter.fit_all(model.components)
     failed = next((fit for fit in [*fits, full] if fit.status == "failed"), None)
