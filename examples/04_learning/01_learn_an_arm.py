@@ -5,6 +5,7 @@ section, the twist of the wrist spreads over the forearm, and the biceps grows w
 given surfaces, rough poses, a mesh and the places of three joints, nothing else.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -156,9 +157,11 @@ training, unseen = capture(people, POSES, rng), capture(people, UNSEEN, rng)
 average = Person()
 joints = np.array([[-0.02, 0, 0], [-average.upper, 0, 0], [-average.upper - average.fore, 0, 0]])
 start = start_model(flesh(average, Bend()), mesh_faces(), joints, PARENTS, NAMES, name="arm")
-# A corrective costs the square of its distance from its joint: the default is for a hand, an arm is larger.
-learned = learn_model(training, start, LearningOptions(corrective_strength=0.02))
-without = learn_model(training, start, LearningOptions(correctives=False))
+# A corrective costs the square of its distance from its joint: the default is for a hand, and an arm is
+# larger. These surfaces have little noise besides, so that little is held back.
+free = LearningOptions(corrective_strength=0.02, template_strength=0.02)
+learned = learn_model(training, start, free)
+without = learn_model(training, start, replace(free, correctives=False))
 print(f"learned from {len(training)} registrations of {SUBJECTS} arms with {start.vertex_count} vertices")
 
 surfaces: dict[str, list[np.ndarray]] = {
