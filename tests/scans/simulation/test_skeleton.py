@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from corporeal.scans.simulation.files import HandSimulator, load_simulator
-from corporeal.scans.simulation.skeleton import bone_transforms
+from corporeal.scans.simulation.skeleton import angles_of_turns, bone_transforms, turns
 
 FLEXION, SPREAD, TWIST = range(3)
 ENDS = np.array([3, 4, 17, 6, 7, 18, 9, 10, 19, 12, 13, 20, 15, 16, 21])
@@ -27,6 +27,13 @@ def _posed(simulator: HandSimulator, angles: np.ndarray) -> tuple[np.ndarray, np
 def test_the_rest_angles_are_the_rest_pose(simulator):
     motions = bone_transforms(simulator, simulator.joints, simulator.rest_angles)
     np.testing.assert_allclose(motions, np.tile(np.eye(4), (17, 1, 1)), atol=1e-12)
+
+
+def test_angles_come_back_from_their_turns(simulator, rng):
+    angles = rng.uniform(-1, 1, (17, 3)) * [110.0, 60.0, 50.0]
+    np.testing.assert_allclose(
+        angles_of_turns(turns(angles, simulator.axes), simulator.axes), angles, atol=1e-9
+    )
 
 
 def test_motions_are_rigid_and_keep_the_joints_together(simulator, rng):

@@ -125,6 +125,16 @@ def subjects_of(options: SimulationOptions) -> tuple[Subject, ...]:
     return sample_subjects(load_simulator(), options.subjects, options.seed)
 
 
+def true_hand(options: SimulationOptions, number: int, side: Side) -> SoftHand:
+    """The soft hand of a session's person, number 0 being the first; a left one as its mirror image."""
+    return _hand_of(options.subjects, options.seed, number, side)[1]
+
+
+def embedded(surface: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "P 3"]:
+    """Where the vertices of the open hand's template lie on the simulator's skin."""
+    return _on_fine(_fine(load_simulator())(surface))
+
+
 def simulate_scan(planned: PlannedScan, options: SimulationOptions) -> SimulatedScan:
     """Make one scan; the same plan and options give the same numbers."""
     simulator = load_simulator()
@@ -148,10 +158,9 @@ def simulate_scan(planned: PlannedScan, options: SimulationOptions) -> Simulated
     hand_surface = SampledSurface(surface, faces, colours, pattern.mirrored() if left else pattern)
     capture = scan_surface(hand_surface, props, ScannerOptions(), generator)
     capture = spoil(capture, planned.fault, generator)
-    corners = surface[fine.faces[simulator.template_faces]]
     rest_angles = simulator.rest_angles
     truth = ScanTruth(
-        template=np.einsum("pc,pca->pa", simulator.template_barycentric, corners),
+        template=_on_fine(surface),
         joints=joints[1:],
         angles=rest_angles + posed.pose_share * (pose.angles - rest_angles),
         fault=planned.fault,
@@ -176,6 +185,13 @@ def _hand_of(count: int, seed: int, number: int, side: Side) -> tuple[Subject, S
     simulator = load_simulator()
     subject = sample_subjects(simulator, count, seed)[number]
     return subject, SoftHand(simulator, *hand_at_rest(simulator, subject, side))
+
+
+def _on_fine(surface: np.ndarray) -> Float[np.ndarray, "P 3"]:
+    """The template's vertices on a skin that has been refined by one Loop step."""
+    simulator = load_simulator()
+    corners = surface[_fine(simulator).faces[simulator.template_faces]]
+    return np.einsum("pc,pca->pa", simulator.template_barycentric, corners)
 
 
 @lru_cache(maxsize=1)

@@ -27,6 +27,14 @@ def turns(
     return (flexion * spread * twist).as_matrix()
 
 
+def angles_of_turns(
+    rotations: Float[np.ndarray, "17 3 3"], axes: Float[np.ndarray, "17 3 3"]
+) -> Float[np.ndarray, "17 3"]:
+    """Degrees of flexion, spread and twist: the inverse of ``turns`` for spreads within 90 degrees."""
+    in_own_axes = np.einsum("kab,kbc,kdc->kad", axes, rotations, axes)
+    return Rotation.from_matrix(in_own_axes).as_euler("XYZ", degrees=True)
+
+
 def bone_transforms(
     simulator: HandSimulator, joints: Float[np.ndarray, "22 3"], angles: Float[np.ndarray, "17 3"]
 ) -> Float[np.ndarray, "17 4 4"]:
