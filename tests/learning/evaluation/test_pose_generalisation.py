@@ -37,14 +37,17 @@ def compared(bent_tube, scans, personal):
 
 
 @pytest.mark.slow
-def test_results_do_not_depend_on_the_number_of_processes(scans, compared):
+def test_curves_over_scans_do_not_depend_on_which_process_fitted_what(scans, compared):
     told = []
-    one = pose_generalisation(compared, scans[1], 1, lambda *count: told.append(count))
-    assert one == pose_generalisation(compared, scans[1], 2)
-    assert told == [(n, 6) for n in range(1, 7)]
-    own, off, free = one
+    again = dataclasses.replace(scans[1][0], name="scan0 again")
+    own, off, free = pose_generalisation(compared, [*scans[1], again], 2, lambda *count: told.append(count))
+    assert told == [(n, 9) for n in range(1, 10)]
+    for curve in (own, off, free):
+        first, _, last = curve.scans
+        assert (first.by_components, first.full) == (last.by_components, last.full)
     assert (own.protocol, free.protocol) == ("pose only", "pose and shape free")
-    assert (own.n_scans, own.n_subjects, [scan.name for scan in own.scans]) == (2, 2, ["scan0", "scan1"])
+    assert (own.n_scans, own.n_subjects) == (3, 2)
+    assert [scan.name for scan in own.scans] == ["scan0", "scan1", "scan0 again"]
     assert own.mean[0] > own.mean[1] > own.full.mean and own.full.mean < 0.09
     assert off.full.mean > 1.5 * own.full.mean and off.components == () == off.mean
     here = fitted(compared[0], scans[1][0])
