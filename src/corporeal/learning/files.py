@@ -6,6 +6,7 @@ import dataclasses
 import io
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -59,17 +60,17 @@ def load_learned(path: Path | str) -> LearnedModel:
     """
     model, companion = load_model(path), companion_path(path)
     try:
-        with np.load(companion, allow_pickle=False) as archive:
+        with np.load(io.BytesIO(companion.read_bytes()), allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
         log = tuple(StepLog(**step) for step in json.loads(str(arrays["log"])))
-        words = {name: tuple(str(word) for word in arrays[name]) for name in _WORDS}
-        numbers = {name: np.asarray(arrays[name], dtype=np.float64) for name in _NUMBERS}
+        kept: dict[str, Any] = {name: tuple(str(word) for word in arrays[name]) for name in _WORDS}
+        kept |= {name: np.asarray(arrays[name], dtype=np.float64) for name in _NUMBERS}
     except FileNotFoundError as error:
         raise LearnedFileError(
             f"{companion}: missing; personal templates and poses stand there: learn the model again"
         ) from error
     except Exception as error:  # Damaged bytes make the zip, npy and JSON parsers raise nearly anything.
         raise LearnedFileError(f"{companion}: damaged ({error}); learn the model again") from error
-    if numbers["templates"].shape[1:] != model.template.shape:
+    if kept["templates"].shape[1:] != model.template.shape:
         raise LearnedFileError(f"{companion}: of another model than {path}; learn the model again")
-    return LearnedModel(model=model, log=log, **words, **numbers)
+    return LearnedModel(model=model, log=log, **kept)
