@@ -1,6 +1,7 @@
 """The register command on a session, with real registrations: pool, dask, two rounds, files on request."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -83,6 +84,32 @@ def test_dask_gives_the_same_numbers_and_writes_files_on_request(session, regist
     assert trimesh.load(tmp_path / "reg" / "b_left" / "hand.glb")
 
 
+@pytest.mark.slow
+def test_landmarks_found_before_give_the_same_registration_where_the_scan_is_the_same(
+    session, registered, tmp_path, capsys
+):
+    copy = tmp_path / "session"
+    shutil.copytree(session[0], copy)
+    changed = copy / "c_right.ply"
+    changed.write_bytes(changed.read_bytes().replace(b"trimesh", b"trimosh"))
+    for number, landmarks in enumerate(([], ["--landmarks-from", str(tmp_path / "reg-0")])):
+        source, target = (session[0], copy)[number], tmp_path / f"reg-{number}"
+        assert main(["register", str(source), "-o", str(target), "--workers", "2", *landmarks]) == 0
+    found, known = (read_records(tmp_path / f"reg-{number}") for number in range(2))
+    for before, after in zip(found[:3], known[:3], strict=True):
+        for key in ("vertices", "pose", "shape", "translation"):
+            np.testing.assert_array_equal(getattr(before, key), getattr(after, key))
+        np.testing.assert_array_equal(before.landmarks.positions, after.landmarks.positions)
+        differing = {key for key, value in before.row.items() if value != after.row[key]}
+        assert differing <= {"scan", "seconds", "notes", "sha256"}
+    assert [record.row["notes"][0] for record in known[:2]] == ["landmarks of an earlier registration"] * 2
+    said = known[2].row["notes"]
+    assert "not used: the scan has changed" in said[0] and "virtual views" in said[1]
+    options = ["--landmarks-from", str(tmp_path / "reg-0"), "--unit", "m"]
+    assert main(["register", str(copy), "-o", str(tmp_path / "reg-2"), *options]) == 2
+    assert "found with unit mm, and now it is m" in capsys.readouterr().err
+
+
 def test_a_changed_option_is_named_and_exits_with_two(session, registered, capsys):
     arguments = ["register", str(session[0]), "-o", str(registered / "reg"), "--rounds", "2"]
     assert main([*arguments, "--no-correctives"]) == 2
@@ -94,6 +121,7 @@ def test_a_changed_option_is_named_and_exits_with_two(session, registered, capsy
     [
         (["--workers", "0"], "at least one"),
         (["--landmarks", "marks.json"], "--landmarks goes with one scan"),
+        (["--landmarks-from", "nowhere"], "nowhere: holds no records"),
     ],
 )
 def test_wrong_calls_exit_with_two_and_say_why(session, tmp_path, capsys, arguments, words):

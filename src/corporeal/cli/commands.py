@@ -28,6 +28,8 @@ class Register:
         dask: register a session on dask.distributed: a scheduler's address, or local.
         restart: throw away what the output folder holds of a session, and begin anew.
         outputs: write GLB, PLYs and a picture for every scan of a session too.
+        landmarks_from: folder of an earlier registration of the session, whose landmarks are used again: the
+            detector takes as long as a fit.
     """
 
     scans: tyro.conf.Positional[tuple[Path, ...]]
@@ -44,6 +46,7 @@ class Register:
     dask: str | None = None
     restart: bool = False
     outputs: bool = False
+    landmarks_from: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -150,7 +153,7 @@ class Report:
 
 @dataclass(frozen=True)
 class Learn:
-    """Learn a model from registered sessions: shape space, joints, skinning weights, pose correctives, pose PCA.
+    """Learn a model from registered sessions: shape, joints, skinning weights, pose correctives, pose PCA.
 
     What the curator accepted is used, and of what was not curated, what is "ok". Left hands are mirrored in.
 
@@ -176,4 +179,31 @@ class Learn:
     regularisation: Literal["geodesic", "constant"] = "geodesic"
     neutral_first: bool = True
     seed: int = 0
+    json: Path | None = None
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """Evaluate a learned model on a held-out session: generalisation, comparisons, compactness, truth.
+
+    Attributes:
+        model: what ``corporeal learn`` wrote, with its NAME.learning.npz beside it.
+        test: folder that ``corporeal register`` wrote to, of a session of other people.
+        output: folder for evaluation.json, evaluation.md, plots, and the models learned for comparison.
+        train: folders that the model was learned from: for comparisons with models learned otherwise.
+        start: the model that learning began with: hand, or a file; else the one of the first --train.
+        scored: protocol pose whose scans are scored.
+        variants: learn the models to compare with; without it only the given one is evaluated.
+        workers: processes; as many as there are cores if not given.
+        json: also write the machine-readable result to this file.
+    """
+
+    model: tyro.conf.Positional[Path]
+    test: Path
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    train: tuple[Path, ...] = ()
+    start: str | None = None
+    scored: str = "natural"
+    variants: bool = True
+    workers: int | None = None
     json: Path | None = None

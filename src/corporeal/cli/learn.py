@@ -119,9 +119,7 @@ def learned_from(
     return learned
 
 
-def described(
-    learned: LearnedModel, start: SurfaceModel, name: str, folders: Sequence[Path]
-) -> SurfaceModel:
+def described(learned: LearnedModel, start: SurfaceModel, name: str, folders: Sequence[Path]) -> SurfaceModel:
     """The model with its name and where it comes from."""
     notes = dict(start.notes) | {
         "learned": f"corporeal {corporeal.__version__} learn, from {len(learned.names)} registrations of "
@@ -163,8 +161,8 @@ def _check_model(folder: Path, manifest: Mapping[str, Any], start: SurfaceModel)
     named = manifest.get("model", {})
     if isinstance(named, dict) and named.get("sha256") not in (None, model_digest(start)):
         raise CommandError(
-            f"{folder}: was registered with another model ({named.get('name')!r}) than the start {start.name!r}; give "
-            "the file of that model with --start",
+            f"{folder}: was registered with another model ({named.get('name')!r}) than the start "
+            f"{start.name!r}; give the file of that model with --start",
             2,
         )
 

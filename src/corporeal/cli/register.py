@@ -151,6 +151,7 @@ def _session_call(config: Register) -> SessionCall:
         correctives=config.correctives,
         green_objects=config.green_objects,
         json=config.json,
+        landmarks_from=config.landmarks_from,
     )
 
 
@@ -168,6 +169,7 @@ def _check_call(config: Register) -> None:
         "--dask": config.dask is not None,
         "--restart": config.restart,
         "--outputs": config.outputs,
+        "--landmarks-from": config.landmarks_from is not None,
     }
     given = [name for name, is_given in for_sessions.items() if is_given]
     if given and not folders:

@@ -23,10 +23,11 @@ from corporeal.model.surface_model import Side, SurfaceModel
 from corporeal.registration.options import RegistrationOptions
 from corporeal.registration.registration import Registration
 from corporeal.registration.session.cluster import DaskMissingError, run_dask
-from corporeal.registration.session.files import MODEL, SessionFolderError
+from corporeal.registration.session.files import MODEL, SessionFolderError, read_landmarks
 from corporeal.registration.session.jobs import Execute, WorkerError
 from corporeal.registration.session.model_digest import model_digest
 from corporeal.registration.session.pool import run_local
+from corporeal.registration.session.records import RecordError
 from corporeal.registration.session.run import SessionPlan, Watcher, register_session
 from corporeal.registration.session.tasks import RegistrationSetup
 from corporeal.scans.files import SCAN_SUFFIXES
@@ -54,6 +55,7 @@ class SessionCall:
         correctives: use the model's pose correctives.
         green_objects: drop green points.
         json: where to write the items too.
+        landmarks_from: folder of an earlier registration whose landmarks are used again, or None.
     """
 
     folder: Path
@@ -68,6 +70,7 @@ class SessionCall:
     correctives: bool = True
     green_objects: bool = False
     json: Path | None = None
+    landmarks_from: Path | None = None
 
 
 def run_session(call: SessionCall, model: SurfaceModel) -> int:
@@ -88,7 +91,7 @@ def run_session(call: SessionCall, model: SurfaceModel) -> int:
         with _Bar(console) as watcher:
             items = register_session(_plan(call, model, session, watcher))
         _keep_model(call.output / MODEL, model)
-    except (SessionFileError, SessionFolderError, DaskMissingError, ModelFileError) as error:
+    except (SessionFileError, SessionFolderError, RecordError, DaskMissingError, ModelFileError) as error:
         raise CommandError(str(error), 2) from error
     except WorkerError as error:
         raise CommandError(f"{error}; what was done is kept, and the same command goes on") from error
@@ -130,8 +133,9 @@ def _plan(call: SessionCall, model: SurfaceModel, session: CaptureSession, watch
         "model": {"name": model.name, "side": model.side, "sha256": model_digest(model)},
         "options": _speakable(described),
     }
+    known = {} if call.landmarks_from is None else read_landmarks(call.landmarks_from, described)
     return SessionPlan(
-        session, call.output, setup, description, execute, call.rounds, call.restart, watcher
+        session, call.output, setup, description, execute, call.rounds, call.restart, watcher, known
     )  # fmt: skip
 
 

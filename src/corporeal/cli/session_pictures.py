@@ -28,7 +28,7 @@ _NEVER = 0.05
 
 
 def model_of(folder: Path) -> SurfaceModel:
-    """The model that a session was registered with: its copy in the folder, else the one that the manifest names.
+    """The model that a session was registered with: its copy in the folder, else what the manifest names.
 
     Raises:
         CommandError: the model cannot be read.
@@ -46,6 +46,24 @@ def model_of(folder: Path) -> SurfaceModel:
         return load_model(Path(name)) if Path(name).suffix else open_model(name)
     except (ModelFileError, OSError) as error:
         raise CommandError(f"the model {name!r}, which {folder / MANIFEST} names: {error}", 2) from error
+
+
+def scan_of(record: SessionRecord, session: Path | None) -> Scan:
+    """The scan of a record in metres, from the session's folder, or from where the record says that it lies.
+
+    Raises:
+        ScanFileError: it cannot be read.
+    """
+    row = record.row
+    path = Path(row["scan"])
+    if session is not None:
+        candidates = (session / path.name, session / "scans" / path.name)
+        path = next((candidate for candidate in candidates if candidate.exists()), path)
+    unit: UnitChoice = row.get("unit") or "auto"
+    scan = read_scan(path, unit=unit)
+    if unit == "free" and row.get("metres_per_unit"):
+        scan = scan.with_scale(row["metres_per_unit"])
+    return scan
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +113,7 @@ class SessionPictures:
     def _picture(self, record: SessionRecord, most: int) -> tuple[Thumbnail, str]:
         note, points = "", np.zeros((0, 3))
         try:
-            points = self._scan(record).points
+            points = scan_of(record, self.session).points
         except (ValueError, OSError) as error:
             note = f"the scan is not shown: {error}"
         points = points[:: max(1, -(-len(points) // most))]
@@ -107,18 +125,6 @@ class SessionPictures:
             errors = np.where(metres < _NEVER, 1e3 * metres, np.nan)
         direction, up = self._view(record, points)
         return Thumbnail(points, errors, vertices, np.ascontiguousarray(faces), direction, up), note
-
-    def _scan(self, record: SessionRecord) -> Scan:
-        row = record.row
-        path = Path(row["scan"])
-        if self.session is not None:
-            candidates = (self.session / path.name, self.session / "scans" / path.name)
-            path = next((candidate for candidate in candidates if candidate.exists()), path)
-        unit: UnitChoice = row.get("unit") or "auto"
-        scan = read_scan(path, unit=unit)
-        if unit == "free" and row.get("metres_per_unit"):
-            scan = scan.with_scale(row["metres_per_unit"])
-        return scan
 
     def _view(
         self, record: SessionRecord, points: np.ndarray

@@ -61,11 +61,16 @@ class LandmarkFinder:
             self._detector.__exit__()
             self._detector = None
 
+    @property
+    def set_name(self) -> str | None:
+        """The model's landmark set that the detector's landmarks belong to; None if it has none."""
+        return next((name for name in _SETS_FOR_DETECTOR if name in self._model.landmarks), None)
+
     def find(self, scan: Scan) -> tuple[LandmarkEvidence | None, list[str]]:
         """Evidence or None, and sentences that say what was done."""
         if self._given is not None:
             return self._of_user(scan, self._given), ["landmarks taken from the file given"]
-        set_name = next((name for name in _SETS_FOR_DETECTOR if name in self._model.landmarks), None)
+        set_name = self.set_name
         if set_name is None:
             return None, ["the model has no hand landmarks: orientation and side found by search"]
         try:

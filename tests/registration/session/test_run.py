@@ -10,6 +10,7 @@ import pytest
 from corporeal.registration.gaussian_pose import GaussianPose
 from corporeal.registration.session import files
 from corporeal.registration.session.files import SessionFolderError, read_priors, read_records
+from corporeal.registration.session.records import FoundLandmarks, KnownLandmarks
 from corporeal.registration.session.run import SessionPlan, Watcher, register_session
 from corporeal.scans.formats.session import read_session
 
@@ -109,6 +110,32 @@ def test_records_without_a_manifest_are_not_touched(plan):
     with pytest.raises(SessionFolderError, match="holds records but no"):
         register_session(_again(plan))
     assert len(read_records(plan.folder)) == 24
+
+
+def test_known_landmarks_reach_the_job_of_their_scan(plan, cheap):
+    found = FoundLandmarks("set", ("tip",), np.ones((1, 3)), np.ones(1), 0.9)
+    known = {"s03": KnownLandmarks(found, "0" * 64, "an earlier registration")}
+    seen = {}
+
+    class Looking(cheap.CheapWorker):
+        def __call__(self, job):
+            seen[job.name, job.round_number] = job.landmarks
+            return replace(super().__call__(job), landmarks=found)
+
+    class LookingSetup:
+        def start(self):
+            return Looking(0.0)
+
+    register_session(_again(plan, setup=LookingSetup(), rounds=2, landmarks=known))
+    assert {name for name, landmarks in seen.items() if landmarks is not None and name[1] == 1} == {
+        ("s03", 1)
+    }
+    assert seen["s03", 1] is known["s03"]
+    second = seen["s04", 2]
+    assert second.origin == "the first round" and second.sha256 == files.sha256_of(
+        plan.session.folder / "s04.txt"
+    )
+    np.testing.assert_array_equal(second.found.positions, found.positions)
 
 
 def test_a_full_disk_stops_the_session_and_leaves_no_half_record(plan, monkeypatch):

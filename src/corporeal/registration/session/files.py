@@ -14,6 +14,7 @@ import numpy as np
 from corporeal.atomic import write_bytes
 from corporeal.registration.gaussian_pose import GaussianPose
 from corporeal.registration.session.records import (
+    KnownLandmarks,
     RecordError,
     SessionRecord,
     decode_record,
@@ -27,6 +28,7 @@ MODEL = "model.npz"
 ITEMS = "session.json"
 DECISIONS = "decisions.jsonl"
 PRIORS = "priors.npz"
+_READING_OPTIONS = ("unit", "green_objects")
 
 
 class RecordMissingError(RecordError):
@@ -102,6 +104,30 @@ def read_records(folder: Path | str) -> list[SessionRecord]:
         raise RecordError(f"{folder}: holds no records; give the folder that corporeal register wrote to")
     records = [read_record(path) for path in sorted(where.glob("*.npz"))]
     return sorted(records, key=lambda record: record.name)
+
+
+def read_landmarks(folder: Path | str, options: Mapping[str, Any]) -> dict[str, KnownLandmarks]:
+    """Name of a scan -> the landmarks that an earlier registration found in it.
+
+    Args:
+        folder: what ``corporeal register`` wrote to.
+        options: of the registration that will use them; what the detector was shown depends on some of them.
+
+    Raises:
+        RecordError: there is no such folder, or a record in it is damaged.
+        SessionFolderError: the scans were read otherwise there, or its manifest cannot be read.
+    """
+    known = {
+        record.name: record.known_landmarks("an earlier registration") for record in read_records(folder)
+    }
+    before = (read_json_file(Path(folder) / MANIFEST) or {}).get("options", {})
+    for name in _READING_OPTIONS:
+        if before.get(name) != options[name]:
+            raise SessionFolderError(
+                f"{folder}: its landmarks were found with {name} {before.get(name)}, and now it is "
+                f"{options[name]}; register with the same, or without its landmarks"
+            )
+    return {name: landmarks for name, landmarks in known.items() if landmarks is not None}
 
 
 def read_decisions(folder: Path | str) -> dict[str, str]:

@@ -9,7 +9,7 @@ from typing import Any, Literal, Protocol, runtime_checkable
 from corporeal.registration.gaussian_pose import GaussianPose
 from corporeal.registration.rows import failed_row
 from corporeal.registration.session.files import sha256_of
-from corporeal.registration.session.records import FoundLandmarks, SessionRecord
+from corporeal.registration.session.records import KnownLandmarks, SessionRecord
 
 
 class WorkerError(RuntimeError):
@@ -28,7 +28,7 @@ class ScanJob:
         side: where it is known.
         round_number: 1 with the neutral pose prior, 2 with that of the protocol pose.
         prior: the prior of the second round.
-        landmarks: what the detector found in the first round, or None.
+        landmarks: what the detector found in this scan before, or None.
     """
 
     name: str
@@ -38,7 +38,7 @@ class ScanJob:
     side: Literal["left", "right"] | None = None
     round_number: int = 1
     prior: GaussianPose | None = None
-    landmarks: FoundLandmarks | None = None
+    landmarks: KnownLandmarks | None = None
 
     def completed(self, row: dict[str, Any], sha256: str | None) -> dict[str, Any]:
         """A scan's row with all that the session knows of it."""

@@ -43,6 +43,21 @@ class FoundLandmarks:
 
 
 @dataclass(frozen=True, eq=False)
+class KnownLandmarks:
+    """Landmarks that were found in a scan before, for as long as its file has not changed.
+
+    Attributes:
+        found: by the detector.
+        sha256: of the file that they were found in.
+        origin: when they were found, as the row's note says it.
+    """
+
+    found: FoundLandmarks
+    sha256: str
+    origin: str
+
+
+@dataclass(frozen=True, eq=False)
 class SessionRecord:
     """What is kept of one scan. A scan that could not be registered has a row only.
 
@@ -68,6 +83,13 @@ class SessionRecord:
     def name(self) -> str:
         """The scan's name in its session."""
         return str(self.row["name"])
+
+    def known_landmarks(self, origin: str) -> KnownLandmarks | None:
+        """The record's landmarks for another registration of its scan; None where it has none."""
+        sha256 = self.row.get("sha256")
+        if self.landmarks is None or sha256 is None:
+            return None
+        return KnownLandmarks(self.landmarks, str(sha256), origin)
 
     @property
     def is_registered(self) -> bool:

@@ -12,7 +12,7 @@ from corporeal.registration.session import files
 from corporeal.registration.session.files import SessionFolderError
 from corporeal.registration.session.jobs import Execute, ScanJob, WorkerSetup
 from corporeal.registration.session.manifest import check_same, new_manifest
-from corporeal.registration.session.records import RecordError, SessionRecord
+from corporeal.registration.session.records import KnownLandmarks, RecordError, SessionRecord
 from corporeal.scans.formats.session import CaptureSession, SessionScan
 
 _RANKS = {"ok": 0, "doubtful": 1, "failed": 2}
@@ -44,6 +44,7 @@ class SessionPlan:
         rounds: 1, or 2 for a second one with the pose priors of the first.
         restart: throw away what the folder holds.
         watcher: is told how it goes.
+        landmarks: scan name -> what the detector found in it before; it looks at the others.
     """
 
     session: CaptureSession
@@ -54,6 +55,7 @@ class SessionPlan:
     rounds: int = 1
     restart: bool = False
     watcher: Watcher = field(default_factory=Watcher)
+    landmarks: Mapping[str, KnownLandmarks] = field(default_factory=dict)
 
 
 def register_session(plan: SessionPlan) -> list[dict[str, Any]]:
@@ -207,8 +209,10 @@ def _priors(plan: SessionPlan, records: Mapping[str, SessionRecord]) -> dict[str
 
 def _job(plan: SessionPlan, scan: SessionScan) -> ScanJob:
     path = str(plan.session.folder / scan.file)
-    return ScanJob(scan.name, path, scan.subject, scan.protocol_pose, scan.side)
+    known = plan.landmarks.get(scan.name)
+    return ScanJob(scan.name, path, scan.subject, scan.protocol_pose, scan.side, landmarks=known)
 
 
 def _second_job(plan: SessionPlan, scan: SessionScan, prior: GaussianPose, first: SessionRecord) -> ScanJob:
-    return replace(_job(plan, scan), round_number=2, prior=prior, landmarks=first.landmarks)
+    known = first.known_landmarks("the first round")
+    return replace(_job(plan, scan), round_number=2, prior=prior, landmarks=known)

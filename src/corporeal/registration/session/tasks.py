@@ -23,7 +23,7 @@ from corporeal.registration.registration import FailedRegistration, Registration
 from corporeal.registration.rows import failed_row, registered_row
 from corporeal.registration.session.files import sha256_of
 from corporeal.registration.session.jobs import ScanJob, WorkerError
-from corporeal.registration.session.records import FoundLandmarks, SessionRecord
+from corporeal.registration.session.records import FoundLandmarks, KnownLandmarks, SessionRecord
 from corporeal.scans.files import ScanFileError, read_scan
 from corporeal.scans.scan import Scan
 from corporeal.scans.segmentation import remove_object
@@ -85,7 +85,7 @@ class ScanWorker:
         sha256 = sha256_of(Path(job.path))
         record = SessionRecord({})
         try:
-            record = self._registered(job, seconds)
+            record = self._registered(job, sha256, seconds)
         except (ScanFileError, ScanContentError, OSError) as error:
             record = SessionRecord(failed_row(job.path, str(error), seconds, []))
         except WorkerError:
@@ -99,7 +99,7 @@ class ScanWorker:
         record.row["seconds"]["total"] = time.perf_counter() - begun
         return dataclasses.replace(record, row=job.completed(record.row, sha256))
 
-    def _registered(self, job: ScanJob, seconds: dict[str, float]) -> SessionRecord:
+    def _registered(self, job: ScanJob, sha256: str | None, seconds: dict[str, float]) -> SessionRecord:
         setup = self._setup
         scan = read_scan(job.path, unit=setup.unit)
         if setup.green_objects:
@@ -108,7 +108,7 @@ class ScanWorker:
             except ValueError as error:
                 raise ScanContentError(str(error)) from error
         marked = time.perf_counter()
-        evidence, notes, found = self._evidence(job, scan)
+        evidence, notes, found = self._evidence(job.landmarks, sha256, scan)
         seconds["landmarks"] = time.perf_counter() - marked
         marked = time.perf_counter()
         side = job.side or setup.side
@@ -121,16 +121,17 @@ class ScanWorker:
         return dataclasses.replace(record, landmarks=found)
 
     def _evidence(
-        self, job: ScanJob, scan: Scan
+        self, known: KnownLandmarks | None, sha256: str | None, scan: Scan
     ) -> tuple[LandmarkEvidence | None, list[str], FoundLandmarks | None]:
-        """Landmarks of the first round, or of the detector."""
-        found = job.landmarks
-        if found is not None:
-            positions = dict(zip(found.names, found.positions, strict=True))
-            sigmas = dict(zip(found.names, found.sigmas.tolist(), strict=True))
-            evidence = LandmarkEvidence(positions, sigmas, found.right_probability, found.set_name)
-            return evidence, ["landmarks of the first round"], found
+        """Landmarks found before where they still hold, else those of the detector."""
+        unused = []
+        if known is not None:
+            reason = self._why_not(known, sha256)
+            if reason is None:
+                return _evidence_of(known.found), [f"landmarks of {known.origin}"], known.found
+            unused = [f"landmarks of {known.origin} not used: {reason}"]
         detected, notes = self._finder.find(scan)
+        notes = unused + notes
         if detected is None:
             return None, notes, None
         names = tuple(detected.positions)
@@ -142,6 +143,14 @@ class ScanWorker:
             float(detected.right_probability),
         )
         return detected, notes, found
+
+    def _why_not(self, known: KnownLandmarks, sha256: str | None) -> str | None:
+        """Why landmarks that were found before do not hold now, or None."""
+        if known.sha256 != sha256:
+            return "the scan has changed since they were found"
+        if known.found.set_name != self._finder.set_name:
+            return f"they were found for {known.found.set_name!r}, which this model does not use"
+        return None
 
     def _model(self, side: Side | None) -> SurfaceModel:
         model = self._setup.model
@@ -167,3 +176,9 @@ class ScanWorker:
 
 class ScanContentError(ValueError):
     """A scan that was read but does not allow what was asked."""
+
+
+def _evidence_of(found: FoundLandmarks) -> LandmarkEvidence:
+    positions = dict(zip(found.names, found.positions, strict=True))
+    sigmas = dict(zip(found.names, found.sigmas.tolist(), strict=True))
+    return LandmarkEvidence(positions, sigmas, found.right_probability, found.set_name)
