@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8
+from PIL import Image
 
 from corporeal.export.sheets import (
     Layout,
@@ -54,8 +55,8 @@ class CorrectiveCase:
 def corrective_sheet(cases: Sequence[CorrectiveCase], view: View) -> UInt8[np.ndarray, "H W 3"]:
     """A row per case; the colours are the paper's.
 
-    Posed without correctives (red), with them (green), the registration (pink), the registration overlaid with
-    each of the two, the template (cyan), and the template with the correctives of the pose (yellow).
+    Posed without correctives (red), with them (green), the registration (pink), the registration overlaid
+    with each of the two, the template (cyan), and the template with the correctives of the pose (yellow).
 
     Args:
         cases: at least one.
@@ -76,7 +77,7 @@ def corrective_sheet(cases: Sequence[CorrectiveCase], view: View) -> UInt8[np.nd
     return sheet_pixels(page)
 
 
-def _put_case(page, layout: Layout, case: CorrectiveCase, view: View, row: int) -> None:
+def _put_case(page: Image.Image, layout: Layout, case: CorrectiveCase, view: View, row: int) -> None:
     faces = case.model.faces
     without = Tile(_posed(case, correctives=False), faces, _RED)
     corrected = Tile(_posed(case, correctives=True), faces, _GREEN)
