@@ -213,16 +213,16 @@ def test_every_step_is_told(small):
     assert tuple(told) == result.log
 
 
-def test_first_templates_absorb_less_of_the_bends_by_equation_11(known_tube):
+def test_first_templates_absorb_less_of_the_bends_by_equation_11(small):
     errors = {}
     for neutral_first in (True, False):
         options = dataclasses.replace(FREE, sweeps=1, neutral_first=neutral_first)
-        result = learn_model(known_tube.training, known_tube.start, options)
+        result = learn_model(small.training, small.start, options)
         errors[neutral_first] = np.mean(
             [
                 np.linalg.norm(aligned(template, truth)[0] - truth, axis=1).mean()
                 for template, truth in zip(
-                    result.templates, (true_template(known_tube, hand) for hand in result.hands), strict=True
+                    result.templates, (true_template(small, hand) for hand in result.hands), strict=True
                 )
             ]
         )
