@@ -167,6 +167,7 @@ class Learn:
         regularisation: of the correctives: by geodesic distance (MANO) or constant (SMPL).
         neutral_first: weigh registrations by their distance from the zero pose in the first templates.
         seed: of the pose mixture.
+        pictures: draw the components, and write a GLB, beside the model.
         json: also write the machine-readable result to this file.
     """
 
@@ -179,6 +180,46 @@ class Learn:
     regularisation: Literal["geodesic", "constant"] = "geodesic"
     neutral_first: bool = True
     seed: int = 0
+    pictures: bool = False
+    json: Path | None = None
+
+
+@dataclass(frozen=True)
+class Pipeline:
+    """From a capture session to a model: register, learn, register with what was learned, learn again.
+
+    What is done is kept: the same command goes on where it stopped, and redoes what has changed since.
+
+    Attributes:
+        session: folder of a capture session; with --simulate it is made, or finished.
+        output: folder of the rounds and of the model.
+        rounds: of registering and learning.
+        simulate: simulate the session.
+        subjects: number of people to simulate.
+        poses: number of protocol poses to simulate.
+        seed: of the simulation and of the pose mixture.
+        wait_for_curation: stop after every registration until it has been curated.
+        workers: processes; as many as there are cores if not given.
+        start: the model that the first round registers with: hand, or a file.
+        name: of the model; the start's name if not given.
+        pictures: draw the components, and write a GLB, beside the model.
+        restart: throw away the registrations that are there, and begin anew.
+        json: also write the machine-readable result to this file.
+    """
+
+    session: tyro.conf.Positional[Path]
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    rounds: int = 2
+    simulate: bool = False
+    subjects: int = 31
+    poses: int = 51
+    seed: int = 0
+    wait_for_curation: bool = False
+    workers: int | None = None
+    start: str = "hand"
+    name: str | None = None
+    pictures: bool = False
+    restart: bool = False
     json: Path | None = None
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,10 @@ import corporeal
 from corporeal.cli.commands import Learn
 from corporeal.cli.errors import CommandError
 from corporeal.cli.files import check_output_folder, check_result, write_result
+from corporeal.cli.learned_pictures import write_pictures
 from corporeal.cli.named_models import named_model
 from corporeal.cli.session_pictures import model_of
-from corporeal.learning.files import companion_path, save_learned
+from corporeal.learning.files import LearnedFileError, companion_path, load_learned, save_learned
 from corporeal.learning.learn import learn_model
 from corporeal.learning.learned import LearnedModel, StepLog
 from corporeal.learning.options import LearningOptions
@@ -34,11 +36,27 @@ from corporeal.registration.session.model_digest import model_digest
 from corporeal.registration.session.records import RecordError
 
 
+@dataclass(frozen=True)
+class LearnCall:
+    """What to learn, and where to.
+
+    Attributes:
+        output: the model file.
+        options: of learning.
+        name: of the model; the start's name where it is None.
+        sources: names of what was registered, for the model's notes.
+    """
+
+    output: Path
+    options: LearningOptions
+    name: str | None = None
+    sources: tuple[str, ...] = ()
+
+
 def run(config: Learn) -> int:
     """Learn, write the model and what it was learned with; 0 when both are written."""
     _check_call(config)
     console = Console(stderr=True)
-    begun = time.monotonic()
     start = named_model(Path(config.start)) if config.start else model_of(config.registrations[0])
     training = gathered(config.registrations, start)
     if config.sides == "right-only":
@@ -49,19 +67,48 @@ def run(config: Learn) -> int:
         neutral_first=config.neutral_first,
         seed=config.seed,
     )
-    learned = learned_from(training, start, options, console)
-    learned = dataclasses.replace(
-        learned, model=described(learned, start, config.name or start.name, config.registrations)
-    )
-    try:
-        save_learned(learned, config.output)
-    except (OSError, ModelFileError) as error:
-        raise CommandError(f"-o {config.output}: cannot be written: {error}") from error
-    seconds = time.monotonic() - begun
+    sources = tuple(folder.name for folder in config.registrations)
+    result = learn_file(training, start, LearnCall(config.output, options, config.name, sources), console)
+    if config.pictures:
+        draw_model(config.output, console)
     if config.json is not None:
-        write_result(config.json, result_of(learned, seconds))
-    console.print(_summary(learned, config.output, seconds), highlight=False, soft_wrap=True, markup=False)
+        write_result(config.json, result)
     return 0
+
+
+def learn_file(
+    training: TrainingSet, start: SurfaceModel, call: LearnCall, console: Console
+) -> dict[str, Any]:
+    """Learn, and write the model with its companion; returns what ``--json`` says.
+
+    Raises:
+        CommandError: nothing can be learned, or a file cannot be written.
+    """
+    begun = time.monotonic()
+    learned = learned_from(training, start, call.options, console)
+    model = described(learned, start, call.name or start.name, call.sources)
+    learned = dataclasses.replace(learned, model=model)
+    try:
+        save_learned(learned, call.output)
+    except (OSError, ModelFileError) as error:
+        raise CommandError(f"{call.output}: cannot be written: {error}") from error
+    seconds = time.monotonic() - begun
+    console.print(_summary(learned, call.output, seconds), highlight=False, soft_wrap=True, markup=False)
+    return result_of(learned, seconds)
+
+
+def draw_model(path: Path, console: Console) -> None:
+    """Pictures of a learned model and its GLB, beside its file.
+
+    Raises:
+        CommandError: the model cannot be read, or a file cannot be written.
+    """
+    try:
+        written = write_pictures(load_learned(path), path)
+    except (OSError, ModelFileError, LearnedFileError) as error:
+        raise CommandError(f"--pictures: {error}") from error
+    names = ", ".join(str(file) for file in written)
+    console.print(f"pictures: {names}", highlight=False, soft_wrap=True, markup=False)
 
 
 def gathered(folders: Sequence[Path], start: SurfaceModel) -> TrainingSet:
@@ -119,12 +166,12 @@ def learned_from(
     return learned
 
 
-def described(learned: LearnedModel, start: SurfaceModel, name: str, folders: Sequence[Path]) -> SurfaceModel:
+def described(learned: LearnedModel, start: SurfaceModel, name: str, sources: Sequence[str]) -> SurfaceModel:
     """The model with its name and where it comes from."""
     notes = dict(start.notes) | {
         "learned": f"corporeal {corporeal.__version__} learn, from {len(learned.names)} registrations of "
         f"{len(learned.hands)} hands of {len(set(learned.subjects))} people",
-        "learned from": ", ".join(folder.name for folder in folders),
+        "learned from": ", ".join(sources),
         "correctives": "learned from registrations" if learned.model.has_correctives else "none",
     }
     return learned.model.replace(name=name, notes=notes)

@@ -9,7 +9,17 @@ from typing import Annotated
 import tyro
 
 import corporeal
-from corporeal.cli.commands import Convert, Curate, Evaluate, Info, Learn, Register, Report, Simulate
+from corporeal.cli.commands import (
+    Convert,
+    Curate,
+    Evaluate,
+    Info,
+    Learn,
+    Pipeline,
+    Register,
+    Report,
+    Simulate,
+)
 from corporeal.cli.errors import CommandError
 
 Command = (
@@ -19,6 +29,7 @@ Command = (
     | Annotated[Simulate, tyro.conf.subcommand("simulate")]
     | Annotated[Curate, tyro.conf.subcommand("curate")]
     | Annotated[Learn, tyro.conf.subcommand("learn")]
+    | Annotated[Pipeline, tyro.conf.subcommand("pipeline")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Report, tyro.conf.subcommand("report")]
 )

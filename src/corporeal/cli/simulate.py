@@ -21,6 +21,7 @@ from corporeal.cli.commands import Simulate
 from corporeal.cli.errors import CommandError
 from corporeal.cli.files import check_result, write_json, write_result
 from corporeal.export.meshes import write_ply
+from corporeal.registration.session.pool import single_threaded
 from corporeal.scans.simulation.faults import spoiled_bytes
 from corporeal.scans.simulation.simulate import (
     NATURAL_SHARE,
@@ -33,8 +34,6 @@ from corporeal.scans.simulation.simulate import (
 )
 
 _FORMAT = "corporeal-session-1"
-# Threads of one worker: the workers share the cores, and sums keep their order, so that bytes repeat.
-_SINGLE = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def run(config: Simulate) -> int:
@@ -73,8 +72,6 @@ def _make_all(
     config: Simulate, options: SimulationOptions, missing: list[PlannedScan], console: Console
 ) -> None:
     workers = min(config.workers or os.cpu_count() or 1, max(len(missing), 1))
-    for variable in _SINGLE:
-        os.environ[variable] = "1"
     # One person's hand is prepared once: a worker takes all poses of it that are missing.
     hands: dict[tuple[int, str], list[PlannedScan]] = {}
     for scan in missing:
@@ -86,6 +83,8 @@ def _make_all(
     )  # fmt: skip
     context = multiprocessing.get_context("spawn")
     with (
+        # The workers share the cores, and sums keep their order, so that bytes repeat.
+        single_threaded(),
         ProcessPoolExecutor(workers, mp_context=context) as pool,
         Progress(*columns, console=console, transient=True) as progress,
     ):

@@ -1,0 +1,77 @@
+"""Registered sessions without scans: records written from a posed model, for learning to read."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from corporeal.model.files import open_model, save_model
+from corporeal.model.jacobian import evaluate
+from corporeal.model.surface_model import SurfaceModel
+from corporeal.registration.session.files import make_folder, record_path, write_record
+from corporeal.registration.session.model_digest import model_digest
+from corporeal.registration.session.records import SessionRecord
+
+_TURN = np.array([1.0, -1.0, -1.0])
+_FLIP = np.array([-1.0, 1.0, 1.0])
+
+
+def _made_records(model: SurfaceModel, people: int, poses: int, seed: int = 4) -> list[SessionRecord]:
+    """Every person's right hand, the first one's left too, in bent poses, with 0.2 mm of noise."""
+    rng, records = np.random.default_rng(seed), []
+    for person in range(people):
+        shape = rng.standard_normal(model.shape_count)
+        for side in ("right", "left") if person == 0 else ("right",):
+            for number in range(poses):
+                name = f"s{person:02}_p{number:02}_{side}"
+                pose = 0.35 * rng.standard_normal((model.joint_count, 3))
+                translation = 0.1 * rng.standard_normal(3)
+                vertices = evaluate(model, shape, pose, translation).vertices
+                vertices = vertices + 0.0002 * rng.standard_normal(vertices.shape)
+                if side == "left":
+                    vertices, pose, translation = vertices * _FLIP, pose * _TURN, translation * _FLIP
+                row = {
+                    "name": name, "scan": f"{name}.ply", "status": "ok", "reason": "", "side": side,
+                    "subject": f"s{person:02}", "protocol_pose": f"p{number:02}", "sha256": "0",
+                }  # fmt: skip
+                records.append(SessionRecord(row, vertices, pose, shape, translation, side))
+    return records
+
+
+def _write_registrations(
+    folder: Path, records: list[SessionRecord], model: SurfaceModel | None = None
+) -> Path:
+    """What ``corporeal register SESSION -o`` would have left."""
+    model = model or open_model("hand")
+    for record in records:
+        write_record(record_path(folder, record.name), record)
+    make_folder(folder)
+    save_model(model, folder / "model.npz")
+    named = {"name": model.name, "side": model.side, "sha256": model_digest(model)}
+    content = {"format": "corporeal-registrations-1", "model": named, "options": {"unit": "mm"}}
+    (folder / "manifest.json").write_text(json.dumps(content))
+    return folder
+
+
+def _decide(folder: Path, decisions: dict[str, str]) -> None:
+    """What a curator decided."""
+    lines = [json.dumps({"name": name, "decision": word, "time": 0}) for name, word in decisions.items()]
+    (folder / "decisions.jsonl").write_text("".join(f"{line}\n" for line in lines))
+
+
+@pytest.fixture(scope="session")
+def made_records():
+    return _made_records
+
+
+@pytest.fixture(scope="session")
+def write_registrations():
+    return _write_registrations
+
+
+@pytest.fixture(scope="session")
+def decide():
+    return _decide
