@@ -25,6 +25,8 @@ from corporeal.cli.learn import gathered
 from corporeal.cli.named_models import named_model
 from corporeal.cli.session_pictures import model_of
 from corporeal.cli.variant_models import learned_variants
+from corporeal.export.evaluation_plots import write_evaluation_plots
+from corporeal.export.evaluation_tables import write_evaluation_markdown
 from corporeal.learning.evaluation.held_out import HeldOut, held_out, personal_models
 from corporeal.learning.evaluation.results import EvaluationResults, Summary, TruthResult
 from corporeal.learning.evaluation.simulated_truth import FLEXED, against_simulation, flexed
@@ -166,8 +168,13 @@ def _write(config: Evaluate, results: EvaluationResults, seconds: float, console
     try:
         config.output.mkdir(parents=True, exist_ok=True)
         write_json(config.output / "evaluation.json", content)
+        title = f"{config.model.stem} on {config.test.name}"
+        write_evaluation_markdown(config.output / "evaluation.md", content, title)
+        plots = write_evaluation_plots(config.output, content)
     except OSError as error:
         raise CommandError(f"-o {config.output}: cannot be written: {error.strerror or error}") from error
+    for line in plots.left_out:
+        _say(console, line)
     if config.json is not None:
         write_result(config.json, content | {"seconds": seconds})
     for line in _key_lines(results):

@@ -15,7 +15,7 @@ number that is not known is null, for instance an interval with too few subjects
       "pose_generalisation": [
         {"label": "learned", "protocol": "pose only", "components": [1, 6, 45], "mean": [1.9, 1.1, 0.6],
          "sd": [0.5, 0.3, 0.1], "n_scans": 50, "n_subjects": 6,
-         "full": {"mean": 0.55, "median": 0.54, "p95": 0.8, "sd": 0.1},
+         "full": {"mean": 0.55, "median": 0.54, "p95": 0.8, "sd": 0.1}, "limit": 0.6,
          "scans": [{"name": "s40_p02_right", "subject": "s40", "status": "ok",
                     "by_components": [1.8, 1.0, 0.6], "full": {"mean": 0.56, "median": 0.41, "p95": 1.5}}]}
       ],
@@ -127,7 +127,10 @@ class ScanResult:
 
 @dataclass(frozen=True)
 class PoseCurve:
-    """Generalisation of the pose space: s2m over scans by number of pose components, mm."""
+    """Generalisation of the pose space: s2m over scans by number of pose components, mm.
+
+    At most ``limit`` is asked of the mean with the full pose; None where nothing is asked.
+    """
 
     label: str
     protocol: Protocol
@@ -138,6 +141,7 @@ class PoseCurve:
     n_subjects: int
     full: Summary
     scans: tuple[ScanResult, ...]
+    limit: float | None = None
 
 
 @dataclass(frozen=True)

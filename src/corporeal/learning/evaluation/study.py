@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -123,7 +123,10 @@ def evaluated(study: Study, workers: int, on_fits: OnFits | None = None) -> Eval
 
         return pose_generalisation(compared, study.scans, workers, on_scan)
 
-    fixed = curves_of(pose_only(study), _POSE_ONLY)
+    fixed = tuple(
+        replace(curve, limit=LARGEST_S2M) if curve.label == LEARNED else curve
+        for curve in curves_of(pose_only(study), _POSE_ONLY)
+    )
     free = curves_of(pose_and_shape_free(study), _FREE)
     points = {entry.variant.label: entry.variant for entry in study.variants if entry.variant.learning_curve}
     shape, shape_notes = _shape_curves(study.learned)
@@ -255,10 +258,10 @@ def _curve_notes(curves: Sequence[PoseCurve]) -> list[str]:
         if len(values) > 1:
             falls = "falls with every step" if not rises else f"rises at {rises} of {len(values) - 1} steps"
             notes.append(f"learned, {curve.protocol}: the mean error {falls} from {curve.components} to full")
-        if curve.protocol == _POSE_ONLY:
-            met = "met" if curve.full.mean <= LARGEST_S2M else "not met"
+        if curve.limit is not None:
+            met = "met" if curve.full.mean <= curve.limit else "not met"
             notes.append(
-                f"learned, pose only, full pose space: {curve.full.mean:.3f} mm from scan to model, at most "
-                f"{LARGEST_S2M} mm asked for: {met}"
+                f"learned, {curve.protocol}, full pose space: {curve.full.mean:.3f} mm from scan to model, at "
+                f"most {curve.limit:g} mm asked for: {met}"
             )
     return notes
