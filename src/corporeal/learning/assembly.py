@@ -16,9 +16,13 @@ from corporeal.model.surface_model import CutPlane, SurfaceModel
 
 @dataclass(frozen=True, eq=False)
 class Assembly:
-    """The model, the poses (N, K, 3) as axis-angle, and explained variances of shape and pose."""
+    """The model, the poses (N, K, 3) as axis-angle, and explained variances of shape and pose.
+
+    ``shift`` (3,) is what the templates were moved by, metres: the root lies where the start model has it.
+    """
 
     model: SurfaceModel
+    shift: Float[np.ndarray, "3"]
     poses: Float[np.ndarray, "N K 3"]
     shape_variances: Float[np.ndarray, " n"]
     pose_variances: Float[np.ndarray, " m"]
@@ -29,6 +33,8 @@ def assembled(state: LearningState, start: SurfaceModel, options: LearningOption
     V, K = start.vertex_count, start.joint_count
     shapes = principal_components(state.templates.reshape(len(state.templates), -1))
     template = shapes.mean.reshape(V, 3)
+    # A template and all translations may be moved against each other; the start model's place is a convention.
+    shift = np.asarray((start.joint_regressor @ start.template)[0] - (state.regressor @ template)[0])
     P = 9 * (K - 1) if options.correctives else 0
     directions = state.pose_directions[:P].reshape(P, V, 3).transpose(1, 2, 0)
     blocks, variances = [], np.zeros(0)
@@ -38,7 +44,7 @@ def assembled(state: LearningState, start: SurfaceModel, options: LearningOption
         if number == 0:
             variances = components.variances
     model = start.replace(
-        template=template,
+        template=template + shift,
         shape_directions=shape_directions(shapes, options.shape_count),
         joint_regressor=state.regressor,
         skinning_weights=state.weights,
@@ -48,7 +54,7 @@ def assembled(state: LearningState, start: SurfaceModel, options: LearningOption
     )
     count = len(state.rotations)
     poses = axis_angle_from_matrix(state.rotations.reshape(-1, 3, 3)).reshape(count, K, 3)
-    return Assembly(model, poses, shapes.variances, variances)
+    return Assembly(model, shift, poses, shapes.variances, variances)
 
 
 def _cut(start: SurfaceModel, joints: Float[np.ndarray, "K 3"]) -> CutPlane | None:

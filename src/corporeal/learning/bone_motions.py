@@ -38,11 +38,16 @@ def first_joints(
         regressor=sp.csr_matrix((len(state.parents), len(rigid))),
     )
     part = replace(data, vertices=np.ascontiguousarray(data.vertices[:, rigid]))
-    part_priors = Priors(priors.templates[:, rigid], priors.weights[rigid], priors.distances[:, rigid])
+    part_priors = replace(
+        priors,
+        templates=priors.templates[:, rigid],
+        weights=priors.weights[rigid],
+        distances=priors.distances[:, rigid],
+    )
     for _ in range(options.first_passes):
         some = fit_poses(some, part)
         some = fit_templates(some, part, part_priors, options)
-        some = fit_joints(some, part, options.joint_strength, held)
+        some = fit_joints(some, part, priors.joint_strengths, held)
     return replace(
         state, joints=some.joints, rotations=some.rotations, translations=some.translations
     )

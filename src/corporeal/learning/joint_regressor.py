@@ -15,7 +15,7 @@ _SUM = 10.0
 # Hold of the start model's row, metres per unit of weight. With fewer people than vertices many rows give the same
 # joints; without it (2e-4) four to fourteen vertices on one side of a finger stood for its joint, and other people's
 # joints were wrong.
-_HOLD = 2e-3
+_HOLD = 0.01
 
 
 def fit_regressor(

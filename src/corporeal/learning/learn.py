@@ -22,7 +22,7 @@ from corporeal.learning.options import LearningOptions
 from corporeal.learning.poses import fit_poses
 from corporeal.learning.rigging import strongest_joints
 from corporeal.learning.state import LearningState, Registrations
-from corporeal.learning.templates import fit_joints, fit_templates
+from corporeal.learning.templates import fit_joints, fit_templates, joint_strengths
 from corporeal.learning.training_set import LearningError, TrainingSet
 from corporeal.learning.weights import fit_weights, weight_candidates
 from corporeal.model.surface_model import SurfaceModel
@@ -84,20 +84,21 @@ class _Learning:
         shaped = self._shaped_templates()
         distances = geodesic_joint_distances(start.template, start.faces, start.joint_regressor)
         weights = strongest_joints(start.skinning_weights.astype(np.float64))
-        self.priors = Priors(shaped, weights, distances[1:])
         K, V = start.joint_count, start.vertex_count
         rotations = matrix_from_axis_angle(training.poses.reshape(-1, 3).astype(np.float64))
         self.state = LearningState(
             templates=shaped,
             joints=np.stack([start.joint_regressor @ template for template in shaped]),
-            weights=self.priors.weights.copy(),
+            weights=weights,
             pose_directions=np.zeros((9 * (K - 1), 3 * V)),
             regressor=start.joint_regressor.astype(np.float64),
             rotations=rotations.reshape(count, K, 3, 3),
             translations=training.translations.astype(np.float64),
             parents=start.parents.astype(np.int64),
         )
-        self.candidates = weight_candidates(self.priors.weights, unique_edges(start.faces))
+        strengths = joint_strengths(self.state, self.data, options)
+        self.priors = Priors(shaped, weights, strengths, distances[1:])
+        self.candidates = weight_candidates(weights, unique_edges(start.faces))
         self.log: list[StepLog] = []
         self._before = time.perf_counter()
 
@@ -135,7 +136,7 @@ class _Learning:
         options = self.options
         self._step(sweep, "poses", fit_poses(self.state, self.data))
         self._step(sweep, "templates", self._templates())
-        self._step(sweep, "joints", fit_joints(self.state, self.data, options.joint_strength))
+        self._step(sweep, "joints", fit_joints(self.state, self.data, self.priors.joint_strengths))
         if options.correctives:
             self._step(sweep, "correctives", self._correctives())
         if sweep < _FIRST_SWEEPS:
@@ -188,7 +189,11 @@ class _Learning:
                 f"{self.options.fewest_subjects} are needed: look at the registrations, or raise trim"
             )
         self.data = replace(self.data, hands=np.searchsorted(present, self.data.hands))
-        self.priors = replace(self.priors, templates=self.priors.templates[present])
+        self.priors = replace(
+            self.priors,
+            templates=self.priors.templates[present],
+            joint_strengths=self.priors.joint_strengths[present],
+        )
         return replace(state, templates=state.templates[present], joints=state.joints[present])
 
     def _tie(self, sweep: int) -> None:
@@ -235,11 +240,12 @@ class _Learning:
             model=assembly.model,
             hands=self.hands,
             subjects=tuple(whose[hand] for hand in self.hands),
-            templates=self.state.templates,
-            joints=np.stack([self.state.regressor @ template for template in self.state.templates]),
+            templates=self.state.templates + assembly.shift,
+            joints=np.stack([self.state.regressor @ template for template in self.state.templates])
+            + assembly.shift,
             names=_marked(self.training.names, self.kept),
             poses=assembly.poses,
-            translations=self.state.translations,
+            translations=self.state.translations - assembly.shift,
             rms_mm=1e3 * np.sqrt(errors),
             log=tuple(self.log),
             shape_variances=assembly.shape_variances,

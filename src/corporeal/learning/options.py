@@ -25,8 +25,9 @@ class LearningOptions:
         weights: learn skinning weights.
         weight_strength: of the start model's weights; a displacement of 1 cm per unit of weight is one observation.
         template_strength: of the start model's shape, per vertex of a personal template.
-        joint_strength: of the start model's joints: it decides where a joint lies along an axis about which alone it
-            turns.
+        joint_strength: least strength of the start model's joints.
+        joint_share: strength of the start model's joints as a share of what the registrations say of a joint in the
+            direction that they say most of. It decides where a joint lies along an axis about which alone it turns.
         first_passes: over joints, poses and nearly rigid parts, before there are templates.
         shape_count: most shape directions.
         mixture_components: of the pose mixture.
@@ -36,7 +37,7 @@ class LearningOptions:
         seed: of the mixture.
     """
 
-    sweeps: int = 8
+    sweeps: int = 6
     settled: float = 2e-3
     neutral_first: bool = True
     neutral_floor: float = 1.0
@@ -48,6 +49,7 @@ class LearningOptions:
     weight_strength: float = 20.0
     template_strength: float = 0.5
     joint_strength: float = 10.0
+    joint_share: float = 0.15
     first_passes: int = 12
     shape_count: int = 30
     mixture_components: int = 10

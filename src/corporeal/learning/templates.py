@@ -36,7 +36,7 @@ def fit_templates(
     regressor = state.regressor.toarray()
     templates = np.stack(
         [
-            _tied_solution(systems[h], pulls[h], regressor, state.joints[h], options.joint_strength)
+            _tied_solution(systems[h], pulls[h], regressor, state.joints[h], priors.joint_strengths[h])
             for h in range(H)
         ]
     )
@@ -45,42 +45,41 @@ def fit_templates(
 
 def _tied_solution(
     systems: Float[np.ndarray, "V 3 3"], pulls: Float[np.ndarray, "V 3"], regressor: Float[np.ndarray, "K V"],
-    joints: Float[np.ndarray, "K 3"], strength: float,
+    joints: Float[np.ndarray, "K 3"], strengths: Float[np.ndarray, " K"],
 ) -> Float[np.ndarray, "V 3"]:  # fmt: skip
-    """Blocks of 3 x 3 plus ``strength`` |regressor x - joints|^2, by the Woodbury identity."""
+    """Blocks of 3 x 3 plus ``strengths`` |regressor x - joints|^2, by the Woodbury identity."""
     K = len(joints)
     inverse = np.linalg.inv(systems)
-    pulls = pulls + strength * regressor.T @ joints
+    pulls = pulls + regressor.T @ (strengths[:, None] * joints)
     free = np.einsum("vab,vb->va", inverse, pulls)
     used = np.flatnonzero(regressor.any(axis=0))
     some = regressor[:, used]
     small = np.einsum("kv,lv,vab->kalb", some, some, inverse[used], optimize=True).reshape(3 * K, 3 * K)
-    small += np.eye(3 * K) / strength
+    small += np.diag(np.repeat(1 / strengths, 3))
     tension = np.linalg.solve(small, (regressor @ free).reshape(-1)).reshape(K, 3)
     free[used] -= np.einsum("vab,kv,kb->va", inverse[used], some, tension, optimize=True)
     return free
 
 
 def fit_joints(
-    state: LearningState, data: Registrations, strength: float, held: Float[np.ndarray, "H K 3"] | None = None
+    state: LearningState,
+    data: Registrations,
+    strengths: Float[np.ndarray, "H K"],
+    held: Float[np.ndarray, "H K 3"] | None = None,
 ) -> LearningState:
     """Every hand's joints together with the translations of its registrations, which are eliminated.
 
-    They are held to ``held``, or to where the regressor puts them, by ``strength`` observations.
+    They are held to ``held``, or to where the regressor puts them, by ``strengths`` observations.
 
     A vertex moves with joint m by s_m (R_parent - R_m), where s_m is the weight of m and all its descendants.
     """
     K, H = len(state.parents), len(state.templates)
-    carried = state.weights.copy()
-    for joint in range(K - 1, 0, -1):
-        carried[:, state.parents[joint]] += carried[:, joint]
-    mean = carried.mean(axis=0)
-    centred = carried - mean
+    mean, centred = _carried(state)
     spread = centred.T @ centred
     if held is None:
         held = np.stack([state.regressor @ template for template in state.templates])
-    systems = np.tile(strength * np.eye(3 * K), (H, 1, 1))
-    pulls = strength * (held - state.joints).reshape(H, -1)
+    systems = np.repeat(strengths, 3, axis=1)[:, :, None] * np.eye(3 * K)
+    pulls = (strengths[..., None] * (held - state.joints)).reshape(H, -1)
     residual_means = np.empty((len(data.hands), 3))
     weights = state.weight_table()
     levers = np.empty((len(data.hands), K, 3, 3))
@@ -108,3 +107,30 @@ def _levers(state: LearningState, motions: Float[np.ndarray, "n K 12"]) -> Float
     world = motions[..., :9].reshape(*motions.shape[:2], 3, 3)
     parents = np.concatenate([np.tile(np.eye(3), (len(motions), 1, 1, 1)), world[:, state.parents[1:]]], axis=1)
     return parents - world
+
+
+def joint_strengths(
+    state: LearningState, data: Registrations, options: LearningOptions
+) -> Float[np.ndarray, "H K"]:
+    """How many observations hold a joint: a share of what its best observed direction has.
+
+    A joint that turns about one axis is not seen along it. One strength for all joints either held knuckles back,
+    or let the outer joints of the fingers slide out of the finger (4 mm, along with the twist of registrations).
+    """
+    _, centred = _carried(state)
+    spread = np.einsum("vk,vk->k", centred, centred)
+    seen = np.zeros((*state.joints.shape, 3))
+    for posed in state.posed(data):
+        levers = _levers(state, posed.motions)
+        np.add.at(seen, data.hands[posed.rows], np.einsum("k,nkca,nkcb->nkab", spread, levers, levers))
+    most = np.linalg.eigvalsh(seen)[..., -1]
+    return np.maximum(options.joint_strength, options.joint_share * most)
+
+
+def _carried(state: LearningState) -> tuple[Float[np.ndarray, " K"], Float[np.ndarray, "V K"]]:
+    """Weight of every joint with its descendants: mean over the vertices, and without the mean."""
+    carried = state.weights.copy()
+    for joint in range(len(state.parents) - 1, 0, -1):
+        carried[:, state.parents[joint]] += carried[:, joint]
+    mean = carried.mean(axis=0)
+    return mean, carried - mean
