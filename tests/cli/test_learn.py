@@ -37,6 +37,7 @@ def _learn(folder, output, *options):
     return main(["learn", str(folder), "-o", str(output), *options])
 
 
+@pytest.mark.slow
 def test_the_model_explains_its_registrations_and_says_where_it_comes_from(learned, registrations):
     result = json.loads((learned / "m.json").read_text())
     assert (result["registrations"], result["hands"], result["subjects"]) == (20, 5, 4)
@@ -50,6 +51,7 @@ def test_the_model_explains_its_registrations_and_says_where_it_comes_from(learn
     assert kept.hands == ("s00/left", "s00/right", "s01/right", "s02/right", "s03/right")
 
 
+@pytest.mark.slow
 def test_a_left_hand_was_mirrored_in(learned):
     kept = load_learned(learned / "m.npz")
     left, right = kept.templates[:2]
@@ -58,6 +60,7 @@ def test_a_left_hand_was_mirrored_in(learned):
     assert np.abs(left - right).max() < 0.25 * np.abs(another - right).max()
 
 
+@pytest.mark.slow
 def test_pictures_and_glb_lie_beside_the_model(learned):
     assert {path.name for path in learned.iterdir()} == {
         "m.npz", "m.learning.npz", "m.json", "m.shape.png", "m.pose.png", "m.glb",
@@ -68,6 +71,7 @@ def test_pictures_and_glb_lie_beside_the_model(learned):
     assert b"shape_00" in (learned / "m.glb").read_bytes()
 
 
+@pytest.mark.slow
 def test_without_correctives_and_with_the_right_hands_alone(registrations, tmp_path):
     output, result = tmp_path / "m.npz", tmp_path / "m.json"
     assert _learn(registrations, output, *_SMALL, "--sides", "right-only", "--json", str(result)) == 0
@@ -77,12 +81,14 @@ def test_without_correctives_and_with_the_right_hands_alone(registrations, tmp_p
     assert model.name == open_model("hand").name
 
 
+@pytest.mark.slow
 def test_the_same_call_gives_the_same_bytes(registrations, tmp_path):
     for name in ("a", "b"):
         assert _learn(registrations, tmp_path / f"{name}.npz", *_SMALL, "--seed", "3") == 0
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
+@pytest.mark.slow
 def test_what_the_curator_says_counts_more_than_the_status(records, tmp_path, write_registrations, decide):
     doubtful = [
         dataclasses.replace(record, row=record.row | {"status": "doubtful"}) if number < 2 else record
@@ -96,6 +102,7 @@ def test_what_the_curator_says_counts_more_than_the_status(records, tmp_path, wr
     }
 
 
+@pytest.mark.slow
 def test_it_survives_that_half_is_rejected(
     records, registrations, learned, tmp_path, write_registrations, decide
 ):
@@ -117,6 +124,7 @@ def test_a_session_registered_with_another_model_needs_it_as_start(registrations
     assert not (tmp_path / "m.npz").exists()
 
 
+@pytest.mark.slow
 def test_a_number_that_is_not_finite_is_named(records, tmp_path, capsys, write_registrations, decide):
     vertices = records[6].vertices.copy()
     translation = records[6].translation.copy()

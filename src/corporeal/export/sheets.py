@@ -93,7 +93,7 @@ class Layout:
             top + len(self.rows) * (self.tile[1] + _GAP) - _GAP + _MARGIN,
         )
 
-    def place(self, row: float, column: float) -> tuple[int, int]:
+    def place(self, row: float | int, column: int) -> tuple[int, int]:
         """Left and top of a tile; between two rows where the row is a fraction."""
         left, top = self.origin
         return left + round(column * (self.tile[0] + _GAP)), top + round(row * (self.tile[1] + _GAP))
@@ -115,7 +115,7 @@ def blank_sheet(layout: Layout) -> Image.Image:
 
 
 def put_tile(
-    page: Image.Image, layout: Layout, tile: Tile, camera: Pinhole, row: float, column: float
+    page: Image.Image, layout: Layout, tile: Tile, camera: Pinhole, row: float | int, column: int
 ) -> None:
     """Draw a tile into the sheet; the camera is one of ``sheet_camera``."""
     left, top = layout.place(row, column)
