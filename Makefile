@@ -4,6 +4,7 @@ VENV := .venv
 VENV2 := .venv-numpy2
 BIN := $(VENV)/bin
 OUT ?= demo-out
+LEARN_OUT ?= demo-learn-out
 SCAN ?= assets/demo/scan.ply
 PIP_INSTALL := pip install --quiet --disable-pip-version-check -c constraints.txt
 # The detector draws in OpenCV, whose default wheel wants the system's libGL; the headless one has the same
@@ -11,11 +12,18 @@ PIP_INSTALL := pip install --quiet --disable-pip-version-check -c constraints.tx
 HEADLESS := $(BIN)/$(PIP_INSTALL) --no-deps --force-reinstall opencv-contrib-python-headless
 export OMP_WAIT_POLICY := PASSIVE
 
-.PHONY: demo test bench lint assets clean numpy2
+.PHONY: demo demo-learn test bench lint assets clean numpy2
 
 demo: $(VENV)/.demo
 	$(BIN)/corporeal register $(SCAN) -o $(OUT) --json $(OUT)/result.json
 	@echo "Results are in $(OUT)/$(basename $(notdir $(SCAN)))/: open overview.png for a look, hand.glb in any glTF viewer."
+
+# Six people and sixteen poses are what two cores simulate, register and learn from in five minutes.
+demo-learn: $(VENV)/.demo
+	$(BIN)/corporeal pipeline $(LEARN_OUT)/session -o $(LEARN_OUT) --simulate --subjects 6 --poses 16 --rounds 1 \
+		--name demo-hand --pictures --json $(LEARN_OUT)/result.json
+	@echo "Results are in $(LEARN_OUT)/: model.npz is the hand, model.shape.png and model.pose.png show its components,"
+	@echo "model.glb opens in any glTF viewer, its shape components as morph targets."
 
 test: lint
 	$(BIN)/python -m pytest -q -n auto
@@ -63,4 +71,4 @@ $(VENV2)/.test: pyproject.toml constraints.txt
 	touch $@
 
 clean:
-	rm -rf $(VENV) $(VENV2) .venv-assets demo-out build dist
+	rm -rf $(VENV) $(VENV2) .venv-assets demo-out demo-learn-out build dist
