@@ -203,7 +203,8 @@ def _comparisons(results: Mapping[str, Any]) -> tuple[list[Plot], list[str]]:
             left_out.append(f"{ratio['name']}: the evaluation holds no curves of both models")
             continue
         together = (protocol, numerator) if protocol == _SHAPE_FREE else (protocol, numerator, denominator)
-        groups.setdefault(together, [numerator]).append(denominator)
+        labels = groups.setdefault(together, [numerator])
+        labels += [denominator] if denominator not in labels else []
         names[together] = f"{numerator} against starts" if protocol == _SHAPE_FREE else ratio["name"]
     plots = [
         Plot(_file_name(names[key]), _comparison([curves[label, key[0]] for label in labels]))
