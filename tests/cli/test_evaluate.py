@@ -68,7 +68,7 @@ def _evaluate(model, folder, output, *options):
 @pytest.mark.slow
 def test_tables_plots_and_key_figures_are_written(model_file, held_out_folder, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(study, "_POSE_COMPONENTS", (6,))
-    monkeypatch.setattr(study, "_FREE_COMPONENTS", ())
+    monkeypatch.setattr(study, "_FEW_COMPONENTS", ())
     output, result = tmp_path / "e", tmp_path / "e.json"
     assert _evaluate(model_file, held_out_folder, output, "--workers", "1", "--json", str(result)) == 0
     content = json.loads(result.read_text())

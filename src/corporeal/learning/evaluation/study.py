@@ -47,7 +47,7 @@ ASSET, CRUDE = "asset start", "crude start"
 LARGEST_S2M = 0.6
 """Millimetres: of the learned model, pose only, with the full pose."""
 _POSE_COMPONENTS = (1, 2, 3, 6, 10, 15, 20, 30, 45)
-_FREE_COMPONENTS = (6, 15)
+_FEW_COMPONENTS = (6, 15)
 _SHAPE_COMPONENTS = (0, 1, 2, 3, 4, 5, 6, 8, 10, 15, 20, 25, 30)
 _FEWEST_SUBJECTS = 3
 _POSE_ONLY, _FREE = PoseOnly().name, PoseAndShape().name
@@ -150,7 +150,10 @@ def pose_only(study: Study) -> list[ComparedModel]:
         compared.append(ComparedModel(OFF, study.personal, PoseOnly(), correctives=False))
     for entry in study.variants:
         models = personal_models(entry.learned.model, study.session)
-        compared.append(ComparedModel(entry.variant.label, models, PoseOnly()))
+        few = _FEW_COMPONENTS if entry.variant.label in (MIRRORED, ONE_SIDED) else ()
+        compared.append(
+            ComparedModel(entry.variant.label, models, PoseOnly(), _available(entry.learned.model, few))
+        )
     return compared
 
 
@@ -164,7 +167,7 @@ def pose_and_shape_free(study: Study) -> list[ComparedModel]:
             label,
             dict.fromkeys(study.session.hands, model),
             PoseAndShape(),
-            _available(model, _FREE_COMPONENTS),
+            _available(model, _FEW_COMPONENTS),
         )
         for label, model in models.items()
     ]
@@ -261,7 +264,7 @@ def _curve_notes(curves: Sequence[PoseCurve]) -> list[str]:
         if curve.limit is not None:
             met = "met" if curve.full.mean <= curve.limit else "not met"
             notes.append(
-                f"learned, {curve.protocol}, full pose space: {curve.full.mean:.3f} mm from scan to model, at "
-                f"most {curve.limit:g} mm asked for: {met}"
+                f"learned, {curve.protocol}, full pose space: {curve.full.mean:.3f} mm from scan to model, "
+                f"at most {curve.limit:g} mm asked for: {met}"
             )
     return notes
