@@ -65,6 +65,7 @@ def run(config: Learn) -> int:
         correctives=config.correctives,
         regularisation=config.regularisation,
         neutral_first=config.neutral_first,
+        start_shape_share=config.start_shape_share,
         seed=config.seed,
     )
     sources = tuple(folder.name for folder in config.registrations)
@@ -220,6 +221,8 @@ def _check_call(config: Learn) -> None:
     check_output_folder(config.output.parent)
     if config.output.is_dir() or companion_path(config.output).is_dir():
         raise CommandError(f"-o {config.output}: is a folder; name a file", 2)
+    if not 0 <= config.start_shape_share <= 1:
+        raise CommandError(f"--start-shape-share {config.start_shape_share}: expected 0 to 1", 2)
     if config.json is not None:
         check_result(config.json)
 

@@ -1,1 +1,1 @@
-"""Registrations -> SurfaceModel: personal templates, pose correctives, skinning weights, joints, shape space."""
+"""Registrations -> SurfaceModel: templates, pose correctives, skinning weights, joints, shape space."""

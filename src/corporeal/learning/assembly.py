@@ -29,11 +29,12 @@ class Assembly:
 
 
 def assembled(state: LearningState, start: SurfaceModel, options: LearningOptions) -> Assembly:
-    """The learned model: what was not learned (topology, names, parts, landmarks, limits) is the start model's."""
+    """The learned model; topology, names, parts, landmarks and limits are the start model's."""
     V, K = start.vertex_count, start.joint_count
     shapes = principal_components(state.templates.reshape(len(state.templates), -1))
     template = shapes.mean.reshape(V, 3)
-    # A template and all translations may be moved against each other; the start model's place is a convention.
+    # A template and all translations may be moved against each other; the start model's place is a
+    # convention.
     shift = np.asarray((start.joint_regressor @ start.template)[0] - (state.regressor @ template)[0])
     P = 9 * (K - 1) if options.correctives else 0
     directions = state.pose_directions[:P].reshape(P, V, 3).transpose(1, 2, 0)
@@ -45,7 +46,9 @@ def assembled(state: LearningState, start: SurfaceModel, options: LearningOption
             variances = components.variances
     model = start.replace(
         template=template + shift,
-        shape_directions=shape_directions(shapes, options.shape_count),
+        shape_directions=shape_directions(
+            shapes, options.shape_count, start.shape_directions, options.start_shape_share
+        ),
         joint_regressor=state.regressor,
         skinning_weights=state.weights,
         pose_directions=np.ascontiguousarray(directions),

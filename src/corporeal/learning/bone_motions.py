@@ -23,10 +23,10 @@ def first_joints(
 ) -> LearningState:
     """Joints, poses and translations that explain how the bones move against each other.
 
-    The flesh around a joint follows neither bone: with all vertices, the webs of the fingers drew the knuckles 3 mm
-    towards the wrist, and pose correctives, which can express any shift of a joint exactly ((R - I) d is linear in
-    the features), then made up for it. Therefore joints come before correctives, from nearly rigid vertices.
-    Where a joint turns about one axis only, its place along it is the start model's.
+    The flesh around a joint follows neither bone: with all vertices, the webs of the fingers drew the
+    knuckles 3 mm towards the wrist, and pose correctives, which can express any shift of a joint exactly ((R
+    - I) d is linear in the features), then made up for it. Therefore joints come before correctives, from
+    nearly rigid vertices. Where a joint turns about one axis only, its place along it is the start model's.
     """
     rigid = _rigid_vertices(state)
     held = state.joints
@@ -48,9 +48,7 @@ def first_joints(
         some = fit_poses(some, part)
         some = fit_templates(some, part, part_priors, options)
         some = fit_joints(some, part, priors.joint_strengths, held)
-    return replace(
-        state, joints=some.joints, rotations=some.rotations, translations=some.translations
-    )
+    return replace(state, joints=some.joints, rotations=some.rotations, translations=some.translations)
 
 
 def _rigid_vertices(state: LearningState) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The step that learns pose correctives: a ridge regression in the frame of the zero pose, held local (equation 10)."""
+"""The step that learns pose correctives: a ridge regression at the zero pose, held local (equation 10)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from corporeal.learning.objective import Priors, corrective_costs
 from corporeal.learning.options import LearningOptions
 from corporeal.learning.state import LearningState, Registrations
 
-# Skinning hardly stretches, so that the preconditioner is nearly the inverse: three steps leave 1e-3 of the gradient.
+# Skinning hardly stretches, so that the preconditioner is nearly the inverse: three steps leave 1e-3 of the
+# gradient.
 _STEPS = 4
 # Systems of the preconditioner inverted at once: 400 of 135 x 135 are 58 MB.
 _BATCH = 400
@@ -24,10 +25,10 @@ def fit_correctives(
 ) -> LearningState:
     """Pose directions that lower the objective, by preconditioned conjugate gradients.
 
-    Skinning turns a corrective by A, so that the exact normal equations have A^T A in them and are as large as all
-    directions together (three million). Without A they fall apart into one system of 9 (K - 1) per vertex, the same for
-    x, y and z: that is the preconditioner. Leaving A out altogether was refused: a step could then raise the
-    objective where skinning compresses the inside of a bent finger.
+    Skinning turns a corrective by A, so that the exact normal equations have A^T A in them and are as large
+    as all directions together (three million). Without A they fall apart into one system of 9 (K - 1) per
+    vertex, the same for x, y and z: that is the preconditioner. Leaving A out altogether was refused: a step
+    could then raise the objective where skinning compresses the inside of a bent finger.
     """
     if not len(state.pose_directions):
         return state

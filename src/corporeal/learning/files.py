@@ -23,7 +23,7 @@ class LearnedFileError(ValueError):
 
 
 def companion_path(model_path: Path | str) -> Path:
-    """Where the personal templates, poses and log of a learned model lie: ``hand.npz`` -> ``hand.learning.npz``."""
+    """Where templates, poses and log of a learned model lie: ``hand.npz`` -> ``hand.learning.npz``."""
     path = Path(model_path)
     return path.with_name(f"{path.stem}.learning.npz")
 

@@ -7,14 +7,16 @@ import scipy.sparse as sp
 from jaxtyping import Float, Int
 from scipy.optimize import nnls
 
-# Vertices farther from a joint than this, in its mean distance to the nearest tenth of the candidates, are no candidates.
+# Vertices farther from a joint than this, in its mean distance to the nearest tenth of the candidates, are no
+# candidates.
 _REACH = 3.0
 _FEWEST = 40
-# Weight of "the row sums to one" against metres: its miss after division by the sum is then below a micrometre.
+# Weight of "the row sums to one" against metres: its miss after division by the sum is then below a
+# micrometre.
 _SUM = 10.0
-# Hold of the start model's row, metres per unit of weight. With fewer people than vertices many rows give the same
-# joints; without it (2e-4) four to fourteen vertices on one side of a finger stood for its joint, and other people's
-# joints were wrong.
+# Hold of the start model's row, metres per unit of weight. With fewer people than vertices many rows give the
+# same joints; without it (2e-4) four to fourteen vertices on one side of a finger stood for its joint, and
+# other people's joints were wrong.
 _HOLD = 0.01
 
 
@@ -31,7 +33,11 @@ def fit_regressor(
     for joint in range(joints.shape[1]):
         before = old[joint].toarray()[0]
         row = _row(templates, joints[:, joint], before)
-        rows.append(row if _miss(templates, joints[:, joint], row) < _miss(templates, joints[:, joint], before) else before)
+        rows.append(
+            row
+            if _miss(templates, joints[:, joint], row) < _miss(templates, joints[:, joint], before)
+            else before
+        )
     return sp.csr_matrix(np.array(rows))
 
 

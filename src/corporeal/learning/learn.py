@@ -1,4 +1,4 @@
-"""Registrations -> model: the alternation of Romero et al. 2017 (section 3.3) after SMPL (Loper et al. 2015)."""
+"""Registrations -> model: the alternation of Romero et al. 2017 (3.3) after SMPL (Loper et al. 2015)."""
 
 from __future__ import annotations
 
@@ -42,14 +42,15 @@ def learn_model(
 ) -> LearnedModel:
     """Learn template, shape space, joint regressor, skinning weights, correctives and pose statistics.
 
-    First personal templates from poses near the zero pose (equation 11); then in turn poses, personal templates with
-    their joints, pose correctives (equations 3 and 10), skinning weights and joint regressor, every step lowering one
-    objective, until it settles; then principal components of the templates and of the poses.
+    First personal templates from poses near the zero pose (equation 11); then in turn poses, personal
+    templates with their joints, pose correctives (equations 3 and 10), skinning weights and joint regressor,
+    every step lowering one objective, until it settles; then principal components of the templates and of the
+    poses.
 
     Args:
         training: registrations of the start model's side and topology.
-        start: gives topology, tree, names, parts, landmarks and limits, and where to begin: with the four strongest
-            joints of every vertex; its correctives are not used.
+        start: gives topology, tree, names, parts, landmarks and limits, and where to begin: with the four
+            strongest joints of every vertex; its correctives are not used.
         options: what is learned.
         on_step: told of every step.
 
@@ -57,7 +58,8 @@ def learn_model(
         The model with what it was learned with; the same input gives the same numbers.
 
     Raises:
-        LearningError: too few people, registrations that do not fit the start model, or numbers that are not finite.
+        LearningError: too few people, registrations that do not fit the start model, or numbers that are not
+        finite.
     """
     options = options or LearningOptions()
     _check(training, start, options)
@@ -118,7 +120,7 @@ class _Learning:
         return self._finished()
 
     def _first_templates(self) -> None:
-        """Joints from nearly rigid parts, then templates from registrations near the zero pose (equation 11)."""
+        """Joints from nearly rigid parts, then templates from poses near the zero pose (equation 11)."""
         self._step(0, "poses", fit_poses(self.state, self.data, 4))
         even = self.data
         self._step(0, "bone motions", first_joints(self.state, even, self.priors, self.options))
@@ -167,9 +169,7 @@ class _Learning:
             return
         good = errors <= limit
         self.kept[np.flatnonzero(self.kept)[~good]] = False
-        self.data = Registrations(
-            self.data.vertices[good], self.data.hands[good], self.data.importance[good]
-        )
+        self.data = Registrations(self.data.vertices[good], self.data.hands[good], self.data.importance[good])
         trimmed = replace(
             self.state, rotations=self.state.rotations[good], translations=self.state.translations[good]
         )
@@ -185,8 +185,8 @@ class _Learning:
         people = len({whose[hand] for hand in self.hands})
         if people < self.options.fewest_subjects:
             raise LearningError(
-                f"registrations of {people} people are left without those that lie far from all others; at least "
-                f"{self.options.fewest_subjects} are needed: look at the registrations, or raise trim"
+                f"registrations of {people} people are left without those that lie far from all others; at "
+                f"least {self.options.fewest_subjects} are needed: look at the registrations, or raise trim"
             )
         self.data = replace(self.data, hands=np.searchsorted(present, self.data.hands))
         self.priors = replace(
@@ -197,7 +197,7 @@ class _Learning:
         return replace(state, templates=state.templates[present], joints=state.joints[present])
 
     def _tie(self, sweep: int) -> None:
-        """The model has no joints of its own: put them where a learned regressor says, and let the rest follow."""
+        """Put the joints where a learned regressor says: a model has none of its own; the rest follows."""
         self._step(sweep, "regressor", self._with_regressor())
         for _ in range(_TIED_PASSES):
             regressed = np.stack([self.state.regressor @ template for template in self.state.templates])
@@ -215,7 +215,8 @@ class _Learning:
         now = time.perf_counter()
         measured = objective(state, self.data, self.priors, self.options)
         entry = StepLog(
-            sweep, name, len(self.data.hands), measured.total, measured.data, measured.rms_mm, now - self._before
+            sweep, name, len(self.data.hands), measured.total, measured.data, measured.rms_mm, now -
+            self._before
         )  # fmt: skip
         self._before = time.perf_counter()
         self.log.append(entry)
@@ -230,7 +231,9 @@ class _Learning:
                 for number in range(len(self.hands))
             ]
         )
-        return self.start.template + np.einsum("vas,hs->hva", self.start.shape_directions[:, :, :count], shapes)
+        return self.start.template + np.einsum(
+            "vas,hs->hva", self.start.shape_directions[:, :, :count], shapes
+        )
 
     def _finished(self) -> LearnedModel:
         whose = dict(zip(self.training.hands, self.training.subjects, strict=True))
@@ -282,8 +285,8 @@ def _check(training: TrainingSet, start: SurfaceModel, options: LearningOptions)
     people = len(set(training.subjects))
     if people < options.fewest_subjects:
         raise LearningError(
-            f"registrations of {people} people; at least {options.fewest_subjects} are needed for a shape space: "
-            "scan more people, or lower fewest_subjects"
+            f"registrations of {people} people; at least {options.fewest_subjects} are needed for a shape "
+            "space: scan more people, or lower fewest_subjects"
         )
     for name in ("vertices", "poses", "translations", "shapes"):
         rows = getattr(training, name).reshape(len(training), -1)

@@ -47,7 +47,8 @@ class LearnedModel:
         names: N names of the scans that were learned from.
         poses: (N, K, 3) their axis-angle, angles in [0, pi].
         translations: (N, 3) metres.
-        rms_mm: (N,) root mean square distance of every registration from the model with its personal template.
+        rms_mm: (N,) root mean square distance of every registration from the model with its personal
+            template.
         log: every step.
         shape_variances: explained variance of every shape component, square metres.
         pose_variances: of every pose component of the first block, square radians.

@@ -17,8 +17,9 @@ _FIRST_DAMPING = 1e-4
 def fit_poses(state: LearningState, data: Registrations, iterations: int = 2) -> LearningState:
     """Lower every registration's error by its rotations and translation; none is raised.
 
-    The derivative of a vertex by a joint's rotation is the cross product with the part that its descendants carry. The
-    correctives' own derivative is left out: it is small beside the arms, and a step that does not help is not taken.
+    The derivative of a vertex by a joint's rotation is the cross product with the part that its descendants
+    carry. The correctives' own derivative is left out: it is small beside the arms, and a step that does not
+    help is not taken.
     """
     damping = np.full(len(data.hands), _FIRST_DAMPING)
     errors = state.squared_errors(data)
@@ -82,9 +83,7 @@ def _equations(
 def _moved(state: LearningState, steps: Float[np.ndarray, "N Q"]) -> LearningState:
     N, K = state.rotations.shape[:2]
     turns = matrix_from_axis_angle(np.ascontiguousarray(steps[:, 3:]).reshape(-1, 3)).reshape(N, K, 3, 3)
-    return replace(
-        state, rotations=turns @ state.rotations, translations=state.translations + steps[:, :3]
-    )
+    return replace(state, rotations=turns @ state.rotations, translations=state.translations + steps[:, :3])
 
 
 def _kept(state: LearningState, tried: LearningState, better: Bool[np.ndarray, " N"]) -> LearningState:

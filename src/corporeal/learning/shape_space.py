@@ -32,14 +32,50 @@ def principal_components(rows: Float[np.ndarray, "N D"]) -> PrincipalComponents:
     variances = values**2 / (len(rows) - 1)
     kept = variances > _LEAST_SHARE * max(variances.sum(), 1e-300)
     directions, variances = directions[kept], variances[kept]
-    signs = np.sign(directions[np.arange(len(directions)), np.abs(directions).argmax(axis=1)])
-    return PrincipalComponents(mean, directions * signs[:, None], variances)
+    return PrincipalComponents(mean, directions * _signs(directions)[:, None], variances)
 
 
-def shape_directions(components: PrincipalComponents, count: int) -> Float[np.ndarray, "V 3 S"]:
-    """The first directions scaled to unit variance of their coefficients: the prior is then the plain norm."""
+def shape_directions(
+    components: PrincipalComponents,
+    count: int,
+    prior: Float[np.ndarray, "V 3 S"] | None = None,
+    prior_share: float = 0.0,
+) -> Float[np.ndarray, "V 3 n"]:
+    """The first directions scaled to unit variance of their coefficients: the prior is then the plain norm.
+
+    Args:
+        components: of personal templates.
+        count: most directions.
+        prior: directions of unit variance of another shape space of the template, for instance the start
+            model's.
+        prior_share: of its covariance in the sum with the learned one, from 0 (the learned one alone) to 1.
+
+    Raises:
+        ValueError: a share outside 0 to 1.
+    """
+    if not 0 <= prior_share <= 1:
+        raise ValueError(f"prior_share: expected 0 to 1, got {prior_share}")
+    if prior is not None and prior_share > 0:
+        components = _mixed(components, prior, prior_share)
     scaled = components.directions[:count] * np.sqrt(components.variances[:count, None])
     return np.ascontiguousarray(scaled.T.reshape(-1, 3, len(scaled)))
+
+
+def _mixed(
+    components: PrincipalComponents, prior: Float[np.ndarray, "V 3 S"], share: float
+) -> PrincipalComponents:
+    """Principal components of (1 - share) learned + share prior covariance, about the learned mean."""
+    own = np.sqrt((1 - share) * components.variances)[:, None] * components.directions
+    other = np.sqrt(share) * prior.reshape(-1, prior.shape[2]).T
+    _, values, directions = np.linalg.svd(np.concatenate([own, other]), full_matrices=False)
+    kept = values**2 > _LEAST_SHARE * np.square(values).sum()
+    directions, values = directions[kept], values[kept]
+    return PrincipalComponents(components.mean, directions * _signs(directions)[:, None], values**2)
+
+
+def _signs(directions: Float[np.ndarray, "n D"]) -> Float[np.ndarray, " n"]:
+    """The sign of every direction's largest number."""
+    return np.sign(directions[np.arange(len(directions)), np.abs(directions).argmax(axis=1)])
 
 
 def pose_numbers(

@@ -1,9 +1,9 @@
 """Kernels of learning: many registrations of many hands through one rig, in float64.
 
-N registrations of H hands; V vertices, K joints. ``motions`` (N, K, 12) are what skinning blends: rotation to the
-world row-major, then offset, translation included. ``weights`` is a tuple of the skinning weights by vertex: starts
-(V + 1,), joints, values. ``chains`` is a tuple of the joints that move a vertex, ancestors included, parents first:
-starts (V + 1,), joints.
+N registrations of H hands; V vertices, K joints. ``motions`` (N, K, 12) are what skinning blends: rotation to
+the world row-major, then offset, translation included. ``weights`` is a tuple of the skinning weights by
+vertex: starts (V + 1,), joints, values. ``chains`` is a tuple of the joints that move a vertex, ancestors
+included, parents first: starts (V + 1,), joints.
 """
 
 import numpy as np
@@ -51,7 +51,10 @@ def blend(i, weights, motion, blended):
 def posed(blended, rest, position):
     for a in range(3):
         position[a] = (
-            blended[3 * a] * rest[0] + blended[3 * a + 1] * rest[1] + blended[3 * a + 2] * rest[2] + blended[9 + a]
+            blended[3 * a] * rest[0]
+            + blended[3 * a + 1] * rest[1]
+            + blended[3 * a + 2] * rest[2]
+            + blended[9 + a]
         )
 
 
@@ -133,8 +136,8 @@ def add_levers(members, arms, residual, products, sums, turns):
 def pose_moments(weights, chains, parents, motions, placed, rest, vertices, moments):
     """Moments of the arms for the normal equations of every pose.
 
-    ``moments`` is a tuple: products (n, K, K, 3, 3) of arms (upper joints only), sums (n, K, 3), turns (n, K, 3),
-    pull (n, 3) and errors (n,).
+    ``moments`` is a tuple: products (n, K, K, 3, 3) of arms (upper joints only), sums (n, K, 3), turns (n, K,
+    3), pull (n, 3) and errors (n,).
     """
     products, sums, turns, pull, errors = moments
     starts, joints = chains
@@ -157,8 +160,8 @@ def pose_moments(weights, chains, parents, motions, placed, rest, vertices, mome
 def template_moments(weights, motions, offsets, vertices, importance, hands, squares, pulls):
     """Normal equations of every hand's template, vertex by vertex.
 
-    ``offsets`` (n, V, 3) are the pose correctives, ``importance`` (n,) weighs registrations, ``hands`` (n,) says whose
-    they are. Adds to ``squares`` (H, V, 6), the upper triangle of A^T A, and ``pulls`` (H, V, 3).
+    ``offsets`` (n, V, 3) are the pose correctives, ``importance`` (n,) weighs registrations, ``hands`` (n,)
+    says whose they are. Adds to ``squares`` (H, V, 6), the upper triangle of A^T A, and ``pulls`` (H, V, 3).
     """
     for v in prange(vertices.shape[1]):
         blended, at, residual = np.empty(12), np.empty(3), np.empty(3)
@@ -171,10 +174,16 @@ def template_moments(weights, motions, offsets, vertices, importance, hands, squ
             e = 0
             for a in range(3):
                 for b in range(a, 3):
-                    dot = blended[a] * blended[b] + blended[3 + a] * blended[3 + b] + blended[6 + a] * blended[6 + b]
+                    dot = (
+                        blended[a] * blended[b]
+                        + blended[3 + a] * blended[3 + b]
+                        + blended[6 + a] * blended[6 + b]
+                    )
                     square[e] += importance[i] * dot
                     e += 1
-                pull[a] += blended[a] * residual[0] + blended[3 + a] * residual[1] + blended[6 + a] * residual[2]
+                pull[a] += (
+                    blended[a] * residual[0] + blended[3 + a] * residual[1] + blended[6 + a] * residual[2]
+                )
 
 
 @njit(cache=True, parallel=True, fastmath=True)
@@ -207,9 +216,11 @@ def apply_metric(weights, motions, offsets):
 
 @njit(cache=True, parallel=True, fastmath=True)
 def weight_moments(candidates, motions, rest, vertices, squares):
-    """Quadratic form of every vertex's weights over its candidate joints: the error is w^T S w, since they sum to one.
+    """Quadratic form of every vertex's weights over its candidate joints: the error is w^T S w, since they
+    sum to one.
 
-    ``candidates`` (V, C) are joints, -1 where there are fewer. Adds to the lower triangles of ``squares`` (V, C, C).
+    ``candidates`` (V, C) are joints, -1 where there are fewer. Adds to the lower triangles of ``squares`` (V,
+    C, C).
     """
     C = candidates.shape[1]
     for v in prange(len(candidates)):
@@ -233,7 +244,7 @@ def weight_moments(candidates, motions, rest, vertices, squares):
 
 @njit(cache=True)
 def smallest_form(square, count, chosen, size, weights):
-    """Weights of the ``chosen`` candidates that sum to one and make w^T S w + pull^T w least; False if any is negative."""
+    """The ``chosen`` candidates' weights that sum to one and make the form least; False if any is negative."""
     system, right = np.zeros((size + 1, size + 1)), np.zeros(size + 1)
     for s in range(size):
         for t in range(size):
@@ -264,8 +275,8 @@ def form_value(square, count, weights):
 def best_weights(squares, counts, most, weights):
     """The best weights with at most ``most`` joints, by trying every set of candidates.
 
-    ``squares`` (V, C, C + 1) hold the quadratic form and, in the column after the last candidate, the linear part;
-    ``weights`` (V, C) come as a feasible guess and leave as the best.
+    ``squares`` (V, C, C + 1) hold the quadratic form and, in the column after the last candidate, the linear
+    part; ``weights`` (V, C) come as a feasible guess and leave as the best.
     """
     C = squares.shape[1]
     for v in prange(len(squares)):

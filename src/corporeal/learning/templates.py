@@ -92,7 +92,11 @@ def fit_joints(
         lever = _levers(state, posed.motions)
         levers[rows] = lever
         gathered = np.einsum("vk,nva->nka", centred, residuals, optimize=True)
-        np.add.at(pulls, data.hands[rows], importance[:, None] * np.einsum("nkab,nka->nkb", lever, gathered).reshape(-1, 3 * K))
+        np.add.at(
+            pulls,
+            data.hands[rows],
+            importance[:, None] * np.einsum("nkab,nka->nkb", lever, gathered).reshape(-1, 3 * K),
+        )
         products = np.einsum("n,kl,nkca,nlcb->nkalb", importance, spread, lever, lever, optimize=True)
         np.add.at(systems, data.hands[rows], products.reshape(-1, 3 * K, 3 * K))
     steps = np.linalg.solve(systems, pulls[..., None])[..., 0].reshape(H, K, 3)
@@ -105,7 +109,9 @@ def fit_joints(
 def _levers(state: LearningState, motions: Float[np.ndarray, "n K 12"]) -> Float[np.ndarray, "n K 3 3"]:
     """R_parent - R of every joint; I - R of the root."""
     world = motions[..., :9].reshape(*motions.shape[:2], 3, 3)
-    parents = np.concatenate([np.tile(np.eye(3), (len(motions), 1, 1, 1)), world[:, state.parents[1:]]], axis=1)
+    parents = np.concatenate(
+        [np.tile(np.eye(3), (len(motions), 1, 1, 1)), world[:, state.parents[1:]]], axis=1
+    )
     return parents - world
 
 
@@ -114,8 +120,9 @@ def joint_strengths(
 ) -> Float[np.ndarray, "H K"]:
     """How many observations hold a joint: a share of what its best observed direction has.
 
-    A joint that turns about one axis is not seen along it. One strength for all joints either held knuckles back,
-    or let the outer joints of the fingers slide out of the finger (4 mm, along with the twist of registrations).
+    A joint that turns about one axis is not seen along it. One strength for all joints either held knuckles
+    back, or let the outer joints of the fingers slide out of the finger (4 mm, along with the twist of
+    registrations).
     """
     _, centred = _carried(state)
     spread = np.einsum("vk,vk->k", centred, centred)

@@ -48,7 +48,7 @@ class TrainingSet:
         for field in fields(self):
             if len(getattr(self, field.name)) != len(self.names):
                 raise ValueError(
-                    f"{field.name}: {len(getattr(self, field.name))} entries for {len(self.names)} registrations"
+                    f"{field.name}: {len(getattr(self, field.name))} entries, {len(self.names)} registrations"
                 )
 
     def __len__(self) -> int:
@@ -84,8 +84,9 @@ def training_set(
 ) -> TrainingSet:
     """The accepted registrations of a session.
 
-    Accepted is what the curator accepted, and of what he did not decide, what has the status "ok". Registrations of the
-    other side than the model's are mirrored in (supplement of Romero et al. 2017, section 1).
+    Accepted is what the curator accepted, and of what he did not decide, what has the status "ok".
+    Registrations of the other side than the model's are mirrored in (supplement of Romero et al. 2017,
+    section 1).
 
     Args:
         records: of a registered session.
@@ -93,7 +94,8 @@ def training_set(
         decisions: name of a scan -> "accept" or "reject".
 
     Raises:
-        LearningError: nothing is accepted, a registration has another number of vertices or joints than the model, or
+        LearningError: nothing is accepted, a registration has another number of vertices or joints than the
+        model, or
             numbers that are not finite; the message names it.
     """
     decisions = decisions or {}
@@ -111,9 +113,14 @@ def training_set(
     for row, record in zip(shapes, accepted, strict=True):
         row[: len(_given(record.shape))] = record.shape
     return TrainingSet(
-        vertices=np.stack([_side_of(record.vertices, flip) for record, flip in zip(accepted, turned, strict=True)]),
+        vertices=np.stack(
+            [_side_of(record.vertices, flip) for record, flip in zip(accepted, turned, strict=True)]
+        ),
         poses=np.stack(
-            [_given(record.pose) * (_MIRRORED_AXIS if flip else 1.0) for record, flip in zip(accepted, turned, strict=True)]
+            [
+                _given(record.pose) * (_MIRRORED_AXIS if flip else 1.0)
+                for record, flip in zip(accepted, turned, strict=True)
+            ]
         ).astype(np.float64),
         translations=np.stack(
             [_side_of(record.translation, flip) for record, flip in zip(accepted, turned, strict=True)]
@@ -137,11 +144,14 @@ def _check(record: SessionRecord, model: SurfaceModel) -> None:
     vertices, pose = _given(record.vertices), _given(record.pose)
     if vertices.shape != (model.vertex_count, 3) or pose.shape != (model.joint_count, 3):
         raise LearningError(
-            f"{record.name}: a registration of {len(vertices)} vertices and {len(pose)} joints, but the start model "
-            f"{model.name!r} has {model.vertex_count} and {model.joint_count}; give the model that it was registered with"
+            f"{record.name}: a registration of {len(vertices)} vertices and {len(pose)} joints, but the "
+            f"start model {model.name!r} has {model.vertex_count} and {model.joint_count}; give the model that "
+            "it was registered with"
         )
     if not all(np.isfinite(array).all() for array in (vertices, pose, _given(record.translation))):
-        raise LearningError(f"{record.name}: coordinates that are not finite; reject it, or register it again")
+        raise LearningError(
+            f"{record.name}: coordinates that are not finite; reject it, or register it again"
+        )
 
 
 def _given(array: np.ndarray | None) -> np.ndarray:

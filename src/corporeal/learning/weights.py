@@ -22,8 +22,8 @@ def fit_weights(
 ) -> LearningState:  # fmt: skip
     """The best non-negative weights that sum to one, at most four per vertex, among the candidates.
 
-    Every set of up to four candidates is tried, so that the limit of four is part of the optimum and costs nothing
-    afterwards; cutting the smallest of a full solution was refused.
+    Every set of up to four candidates is tried, so that the limit of four is part of the optimum and costs
+    nothing afterwards; cutting the smallest of a full solution was refused.
     """
     V, C = candidates.shape
     squares = np.zeros((V, C, C))
