@@ -18,9 +18,9 @@ demo: $(VENV)/.demo
 	$(BIN)/corporeal register $(SCAN) -o $(OUT) --json $(OUT)/result.json
 	@echo "Results are in $(OUT)/$(basename $(notdir $(SCAN)))/: open overview.png for a look, hand.glb in any glTF viewer."
 
-# Six people and sixteen poses are what two cores simulate, register and learn from in five minutes.
+# Six people and twelve poses are what two cores simulate, register and learn from in five minutes.
 demo-learn: $(VENV)/.demo
-	$(BIN)/corporeal pipeline $(LEARN_OUT)/session -o $(LEARN_OUT) --simulate --subjects 6 --poses 16 --rounds 1 \
+	$(BIN)/corporeal pipeline $(LEARN_OUT)/session -o $(LEARN_OUT) --simulate --subjects 6 --poses 12 --rounds 1 \
 		--name demo-hand --pictures --json $(LEARN_OUT)/result.json
 	@echo "Results are in $(LEARN_OUT)/: model.npz is the hand, model.shape.png and model.pose.png show its components,"
 	@echo "model.glb opens in any glTF viewer, its shape components as morph targets."

@@ -2,6 +2,8 @@
 
 import dataclasses
 import json
+from functools import partial
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -9,9 +11,19 @@ from PIL import Image
 
 from corporeal.cli.main import main
 from corporeal.learning.files import load_learned
+from corporeal.learning.options import LearningOptions
 from corporeal.model.files import load_model, open_model, save_model
 
 _SMALL = ["--no-correctives"]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _quick():
+    """How well it learns is tested in its own room."""
+    with pytest.MonkeyPatch.context() as patch:
+        quick = partial(LearningOptions, sweeps=1, first_passes=3)
+        patch.setattr(import_module("corporeal.cli.learn"), "LearningOptions", quick)
+        yield
 
 
 @pytest.fixture(scope="module")
