@@ -121,6 +121,14 @@ def test_training_registrations_must_be_those_of_the_model(model_file, held_out_
     )
 
 
+def test_a_start_that_the_training_was_not_registered_with_is_refused(
+    model_file, held_out_folder, tmp_path, capsys
+):
+    options = ("--train", str(held_out_folder), "--start", str(model_file), "--no-variants")
+    assert _evaluate(model_file, held_out_folder, tmp_path / "e", *options) == 2
+    assert "was registered with another model" in capsys.readouterr().err
+
+
 def test_a_missing_model_companion_scan_or_folder_is_named(
     model_file, learned, held_out_folder, tmp_path, capsys
 ):

@@ -96,8 +96,10 @@ def _variants(
     """The models to compare with, and notes on what is not compared."""
     if start is None:
         return [], ("without --start or --train the learned model is not compared with its start",)
-    if not (config.variants and config.train):
-        return [], ("not compared with models learned otherwise: that needs --train, and --variants",)
+    left_out = ("not compared with models learned otherwise: that needs --train, and --variants",)
+    if not config.train:
+        return [], left_out
+    # Also where nothing is learned: it refuses a start that the training registrations were not made with.
     training = gathered(config.train, start)
     if set(learned.names) - set(training.names):
         missing = sorted(set(learned.names) - set(training.names))
@@ -106,6 +108,8 @@ def _variants(
             f"{missing[0]}; give all folders that it was learned from",
             2,
         )
+    if not config.variants:
+        return [], left_out
     planned, notes = planned_variants(training, str(start.side))
     return learned_variants(planned, start, config.output / "models", console), notes
 
