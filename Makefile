@@ -49,7 +49,7 @@ assets: $(VENV)/.demo
 	$(PYTHON) -m venv .venv-assets
 	.venv-assets/bin/$(PIP_INSTALL) -e '.[assets]'
 	.venv-assets/bin/python assets/build.py
-	$(BIN)/python assets/calibrate_detector.py
+	$(BIN)/python assets/calibrate_detector.py --hand src/corporeal/model/open_models/start_hand.npz
 	.venv-assets/bin/python assets/demo/build_scan.py
 	.venv-assets/bin/python assets/hand_simulator/build.py
 

@@ -108,7 +108,8 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--motion", type=Path, default=REPOSITORY.parent / "shared/data/motion/intel-hand")
-    parser.add_argument("--out", type=Path, default=REPOSITORY / "src/corporeal/model/open_models/hand.npz")
+    models = REPOSITORY / "src/corporeal/model/open_models"
+    parser.add_argument("--out", type=Path, default=models / "start_hand.npz")
     parser.add_argument("--people", type=int, default=300)
     parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()) / "corporeal-anny-cache")
     options = parser.parse_args()

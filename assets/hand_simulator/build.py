@@ -22,7 +22,7 @@ from corporeal.geometry.subdivision import loop_step, refined_places
 
 _ROOT = Path(__file__).resolve().parents[2]
 _OUT = _ROOT / "src/corporeal/scans/simulation/hand_simulator.npz"
-_MODEL = _ROOT / "src/corporeal/model/open_models/hand.npz"
+_MODEL = _ROOT / "src/corporeal/model/open_models/start_hand.npz"
 _PEOPLE, _SEED, _COMPONENTS = 320, 21, 16
 
 

@@ -19,7 +19,7 @@ def test_derived_keypoints_lie_where_the_stored_ones_do():
 
 
 def test_derived_parts_are_the_stored_ones():
-    hand = open_model("hand")
+    hand = open_model("start_hand")
     derived = hand_parts(hand.skinning_weights, hand.joint_names)
     for name, members in hand.parts.items():
         assert np.array_equal(derived[name], members)

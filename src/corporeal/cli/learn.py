@@ -170,10 +170,13 @@ def learned_from(
 def described(learned: LearnedModel, start: SurfaceModel, name: str, sources: Sequence[str]) -> SurfaceModel:
     """The model with its name and where it comes from."""
     notes = dict(start.notes) | {
+        "builder": "corporeal learn",
         "learned": f"corporeal {corporeal.__version__} learn, from {len(learned.names)} registrations of "
         f"{len(learned.hands)} hands of {len(set(learned.subjects))} people",
         "learned from": ", ".join(sources),
         "correctives": "learned from registrations" if learned.model.has_correctives else "none",
+        "pose statistics": "of the registrations",
+        "limits": "those of the start model",
     }
     return learned.model.replace(name=name, notes=notes)
 

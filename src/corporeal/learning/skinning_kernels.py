@@ -244,7 +244,7 @@ def weight_moments(candidates, motions, rest, vertices, squares):
 
 @njit(cache=True)
 def smallest_form(square, count, chosen, size, weights):
-    """The ``chosen`` candidates' weights that sum to one and make the form least; False if any is negative."""
+    """The ``chosen`` candidates' weights that sum to one and make the form least; False if one is negative"""
     system, right = np.zeros((size + 1, size + 1)), np.zeros(size + 1)
     for s in range(size):
         for t in range(size):

@@ -145,8 +145,8 @@ def _check(record: SessionRecord, model: SurfaceModel) -> None:
     if vertices.shape != (model.vertex_count, 3) or pose.shape != (model.joint_count, 3):
         raise LearningError(
             f"{record.name}: a registration of {len(vertices)} vertices and {len(pose)} joints, but the "
-            f"start model {model.name!r} has {model.vertex_count} and {model.joint_count}; give the model that "
-            "it was registered with"
+            f"start model {model.name!r} has {model.vertex_count} and {model.joint_count}; give the model "
+            "that it was registered with"
         )
     if not all(np.isfinite(array).all() for array in (vertices, pose, _given(record.translation))):
         raise LearningError(

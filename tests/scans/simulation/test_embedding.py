@@ -18,7 +18,7 @@ def simulator() -> HandSimulator:
 
 @pytest.fixture(scope="module")
 def open_hand() -> dict[str, np.ndarray]:
-    packed = files("corporeal") / "model" / "open_models" / "hand.npz"
+    packed = files("corporeal") / "model" / "open_models" / "start_hand.npz"
     with packed.open("rb") as stream, np.load(stream) as model:
         return {name: model[name] for name in ("f", "v_template", "weights", "J_regressor")}
 

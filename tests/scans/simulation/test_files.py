@@ -87,7 +87,7 @@ def test_skin_lies_within_a_third_of_a_millimetre_of_the_tetrahedra(simulator):
 
 
 def test_template_is_the_one_that_was_embedded(simulator):
-    packed = files("corporeal") / "model" / "open_models" / "hand.npz"
+    packed = files("corporeal") / "model" / "open_models" / "start_hand.npz"
     with packed.open("rb") as stream, np.load(stream) as model:
         template = np.ascontiguousarray(model["v_template"])
     assert hashlib.sha256(template.tobytes()).hexdigest() == simulator.template_sha256

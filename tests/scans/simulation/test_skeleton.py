@@ -84,7 +84,7 @@ def test_the_skeleton_turns_with_its_frame(simulator, rng):
 def test_the_flat_hand_is_the_open_hands_zero_pose(simulator):
     from importlib.resources import files
 
-    packed = files("corporeal") / "model" / "open_models" / "hand.npz"
+    packed = files("corporeal") / "model" / "open_models" / "start_hand.npz"
     with packed.open("rb") as stream, np.load(stream) as model:
         joints = model["J_regressor"] @ model["v_template"]
     heads, ends = _posed(simulator, np.zeros((17, 3)))
