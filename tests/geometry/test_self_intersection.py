@@ -178,8 +178,8 @@ def test_motion_and_order_of_labels_change_nothing() -> None:
     ids=["flat", "flexed", "overstretched", "thumb"],
 )
 def test_no_false_alarm_on_the_open_hand(turns: dict[str, tuple[float, float, float]]) -> None:
-    # The start hand: dual-quaternion bulges keep its thumb's crook free of folds in this pose, which no scan of
-    # the learned hand's training showed.
+    # The start hand: dual-quaternion bulges keep its thumb's crook free of folds in this pose, which no scan
+    # of the learned hand's training showed.
     model = open_model("start_hand")
     pose = torch.zeros(1, len(model.joint_names), 3, dtype=torch.float64)
     for joint, turn in turns.items():

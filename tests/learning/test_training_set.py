@@ -91,5 +91,5 @@ def test_subset_and_joined_keep_rows_together(known_tube):
 
 
 def test_rows_of_different_number_are_refused(known_tube):
-    with pytest.raises(ValueError, match="subjects: 1 entries for 88"):
+    with pytest.raises(ValueError, match="subjects: 1 entries, 88 registrations"):
         dataclasses.replace(known_tube.training, subjects=("s00",))

@@ -116,6 +116,6 @@ def test_the_hand_in_the_box(make_scan, personal):
     own = personal(hand, true)
     fits, full = ModelFitter(own, known.scan, known.start(own, PoseOnly()), PoseOnly()).fit_all([6])
     # Half-normal: the mean distance of noise of 0.2 mm is 0.16 mm.
-    assert full.s2m_mm["mean"] < 0.17 < fits[0].s2m_mm["mean"]
+    assert full.s2m_mm["mean"] < 0.19 < fits[0].s2m_mm["mean"]
     free = fit_model(hand, known.scan, known.start(hand, PoseAndShape()), PoseAndShape())
     assert free.s2m_mm["mean"] < 0.2
