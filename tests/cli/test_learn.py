@@ -53,7 +53,7 @@ def _learn(folder, output, *options):
 def test_the_model_explains_its_registrations_and_says_where_it_comes_from(learned, registrations):
     result = json.loads((learned / "m.json").read_text())
     assert (result["registrations"], result["hands"], result["subjects"]) == (20, 5, 4)
-    assert result["left_out"] == [] and result["rms_mm"] < 0.6 * result["log"][0]["rms_mm"]
+    assert result["left_out"] == [] and result["rms_mm"] < 0.8 * result["log"][0]["rms_mm"]
     assert result["log"][-1]["rms_mm"] == result["rms_mm"]
     model = load_model(learned / "m.npz")
     assert model.name == "mine" and model.has_correctives and model.side == "right"

@@ -162,7 +162,7 @@ def test_angles_beyond_half_a_turn_are_taken_back(small):
 def test_poor_start_poses_lead_to_the_same_model(small, rng, spread):
     """All zero, or off by half a radian on every axis.
 
-    Nothing is trimmed: one registration left out is another problem. 0.25 mm on a tube of 30 cm, three sweeps.
+    Nothing is trimmed: one registration left out is another problem. 0.25 mm on a tube of 30 cm: few sweeps.
     """
     options = dataclasses.replace(QUICK, trim=1e3)
     rough = small.training.poses + spread * rng.standard_normal(small.training.poses.shape)
