@@ -1,4 +1,4 @@
-"""Shape spaces: unit variance, and the mixture with a prior space."""
+"""Shape spaces: unit variance, and the sum with a prior space."""
 
 import numpy as np
 import pytest
@@ -15,18 +15,18 @@ def test_coefficients_of_the_training_rows_have_unit_variance(rng):
     assert np.abs(np.cov(coefficients.T) - np.eye(8)).max() < 1e-9
 
 
-@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
-def test_covariances_are_mixed_by_their_share(rng, share):
+@pytest.mark.parametrize("weight", [0.0, 0.3, 2.0])
+def test_covariances_are_added(rng, weight):
     rows, prior = rng.normal(size=(6, 12)), rng.normal(size=(4, 3, 3))
     components = principal_components(rows)
-    mixed = shape_directions(components, 30, prior, share).reshape(12, -1)
+    summed = shape_directions(components, 30, prior, weight).reshape(12, -1)
     other = prior.reshape(12, 3)
-    expected = (1 - share) * np.cov(rows.T) + share * other @ other.T
-    assert np.abs(mixed @ mixed.T - expected).max() < 1e-12
-    assert (np.diff(np.linalg.norm(mixed, axis=0)) <= 1e-12).all()
+    expected = np.cov(rows.T) + weight * other @ other.T
+    assert np.abs(summed @ summed.T - expected).max() < 1e-12
+    assert (np.diff(np.linalg.norm(summed, axis=0)) <= 1e-12).all()
 
 
-def test_a_share_outside_its_range_is_refused(rng):
+def test_a_negative_weight_is_refused(rng):
     components = principal_components(rng.normal(size=(6, 12)))
-    with pytest.raises(ValueError, match=r"prior_share: expected 0 to 1, got 1\.5"):
-        shape_directions(components, 5, np.ones((4, 3, 1)), 1.5)
+    with pytest.raises(ValueError, match=r"prior_weight: expected 0 or more, got -1\.5"):
+        shape_directions(components, 5, np.ones((4, 3, 1)), -1.5)

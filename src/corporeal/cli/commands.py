@@ -166,8 +166,8 @@ class Learn:
         correctives: learn pose correctives.
         regularisation: of the correctives: by geodesic distance (MANO) or constant (SMPL).
         neutral_first: weigh registrations by their distance from the zero pose in the first templates.
-        start_shape_share: share of the start model's shape covariance in the shape space, 0 to 1: for few
-            people.
+        start_shape_weight: weight of the start model's shape covariance, added to that of the learned people:
+            for few people.
         seed: of the pose mixture.
         pictures: draw the components, and write a GLB, beside the model.
         json: also write the machine-readable result to this file.
@@ -181,7 +181,7 @@ class Learn:
     correctives: bool = True
     regularisation: Literal["geodesic", "constant"] = "geodesic"
     neutral_first: bool = True
-    start_shape_share: float = 0.0
+    start_shape_weight: float = 0.0
     seed: int = 0
     pictures: bool = False
     json: Path | None = None

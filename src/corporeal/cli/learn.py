@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -65,7 +66,7 @@ def run(config: Learn) -> int:
         correctives=config.correctives,
         regularisation=config.regularisation,
         neutral_first=config.neutral_first,
-        start_shape_share=config.start_shape_share,
+        start_shape_weight=config.start_shape_weight,
         seed=config.seed,
     )
     sources = tuple(folder.name for folder in config.registrations)
@@ -87,7 +88,7 @@ def learn_file(
     """
     begun = time.monotonic()
     learned = learned_from(training, start, call.options, console)
-    model = described(learned, start, call.name or start.name, call.sources)
+    model = described(learned, start, call)
     learned = dataclasses.replace(learned, model=model)
     try:
         save_learned(learned, call.output)
@@ -167,18 +168,25 @@ def learned_from(
     return learned
 
 
-def described(learned: LearnedModel, start: SurfaceModel, name: str, sources: Sequence[str]) -> SurfaceModel:
+def described(learned: LearnedModel, start: SurfaceModel, call: LearnCall) -> SurfaceModel:
     """The model with its name and where it comes from."""
     notes = dict(start.notes) | {
         "builder": "corporeal learn",
         "learned": f"corporeal {corporeal.__version__} learn, from {len(learned.names)} registrations of "
         f"{len(learned.hands)} hands of {len(set(learned.subjects))} people",
-        "learned from": ", ".join(sources),
+        "learned from": ", ".join(call.sources),
         "correctives": "learned from registrations" if learned.model.has_correctives else "none",
         "pose statistics": "of the registrations",
+        "shape space": _shape_words(call.options.start_shape_weight),
         "limits": "those of the start model",
     }
-    return learned.model.replace(name=name, notes=notes)
+    return learned.model.replace(name=call.name or start.name, notes=notes)
+
+
+def _shape_words(start_weight: float) -> str:
+    if start_weight == 0:
+        return "of the personal templates"
+    return f"covariance of the personal templates plus {start_weight:g} times the start model's"
 
 
 def result_of(learned: LearnedModel, seconds: float) -> dict[str, Any]:
@@ -224,8 +232,8 @@ def _check_call(config: Learn) -> None:
     check_output_folder(config.output.parent)
     if config.output.is_dir() or companion_path(config.output).is_dir():
         raise CommandError(f"-o {config.output}: is a folder; name a file", 2)
-    if not 0 <= config.start_shape_share <= 1:
-        raise CommandError(f"--start-shape-share {config.start_shape_share}: expected 0 to 1", 2)
+    if not 0 <= config.start_shape_weight < math.inf:
+        raise CommandError(f"--start-shape-weight {config.start_shape_weight}: expected 0 or more", 2)
     if config.json is not None:
         check_result(config.json)
 

@@ -47,7 +47,7 @@ def assembled(state: LearningState, start: SurfaceModel, options: LearningOption
     model = start.replace(
         template=template + shift,
         shape_directions=shape_directions(
-            shapes, options.shape_count, start.shape_directions, options.start_shape_share
+            shapes, options.shape_count, start.shape_directions, options.start_shape_weight
         ),
         joint_regressor=state.regressor,
         skinning_weights=state.weights,

@@ -39,7 +39,7 @@ def shape_directions(
     components: PrincipalComponents,
     count: int,
     prior: Float[np.ndarray, "V 3 S"] | None = None,
-    prior_share: float = 0.0,
+    prior_weight: float = 0.0,
 ) -> Float[np.ndarray, "V 3 n"]:
     """The first directions scaled to unit variance of their coefficients: the prior is then the plain norm.
 
@@ -48,25 +48,25 @@ def shape_directions(
         count: most directions.
         prior: directions of unit variance of another shape space of the template, for instance the start
             model's.
-        prior_share: of its covariance in the sum with the learned one, from 0 (the learned one alone) to 1.
+        prior_weight: of its covariance, added to the learned one; 0 is the learned one alone.
 
     Raises:
-        ValueError: a share outside 0 to 1.
+        ValueError: a negative weight.
     """
-    if not 0 <= prior_share <= 1:
-        raise ValueError(f"prior_share: expected 0 to 1, got {prior_share}")
-    if prior is not None and prior_share > 0:
-        components = _mixed(components, prior, prior_share)
+    if not prior_weight >= 0:
+        raise ValueError(f"prior_weight: expected 0 or more, got {prior_weight}")
+    if prior is not None and prior_weight > 0:
+        components = _summed(components, prior, prior_weight)
     scaled = components.directions[:count] * np.sqrt(components.variances[:count, None])
     return np.ascontiguousarray(scaled.T.reshape(-1, 3, len(scaled)))
 
 
-def _mixed(
-    components: PrincipalComponents, prior: Float[np.ndarray, "V 3 S"], share: float
+def _summed(
+    components: PrincipalComponents, prior: Float[np.ndarray, "V 3 S"], weight: float
 ) -> PrincipalComponents:
-    """Principal components of (1 - share) learned + share prior covariance, about the learned mean."""
-    own = np.sqrt((1 - share) * components.variances)[:, None] * components.directions
-    other = np.sqrt(share) * prior.reshape(-1, prior.shape[2]).T
+    """Of the learned covariance plus ``weight`` times the prior's, about the learned mean."""
+    own = np.sqrt(components.variances)[:, None] * components.directions
+    other = np.sqrt(weight) * prior.reshape(-1, prior.shape[2]).T
     _, values, directions = np.linalg.svd(np.concatenate([own, other]), full_matrices=False)
     kept = values**2 > _LEAST_SHARE * np.square(values).sum()
     directions, values = directions[kept], values[kept]
