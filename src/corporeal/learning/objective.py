@@ -20,13 +20,13 @@ class Priors:
     Attributes:
         templates: (H, V, 3) the start model's shape of every hand.
         weights: (V, K) the start model's skinning weights.
-        joint_strengths: (H, K) observations that hold a joint to its regressed place.
+        joint_strengths: (H, K, 3, 3) observations that hold a joint to its regressed place, by direction.
         distances: (K - 1, V) metres from every joint to every vertex: the cost of a corrective (equation 10).
     """
 
     templates: Float[np.ndarray, "H V 3"]
     weights: Float[np.ndarray, "V K"]
-    joint_strengths: Float[np.ndarray, "H K"]
+    joint_strengths: Float[np.ndarray, "H K 3 3"]
     distances: Float[np.ndarray, "J V"]
 
 
@@ -78,7 +78,7 @@ def objective(
 ) -> Objective:
     """Measure the state."""
     errors = state.squared_errors(data)
-    regressed = np.stack([state.regressor @ template for template in state.templates])
+    shifts = state.joints - np.stack([state.regressor @ template for template in state.templates])
     correctives = 0.0
     if state.has_correctives:
         J, V = priors.distances.shape
@@ -87,7 +87,7 @@ def objective(
     return Objective(
         data=float(data.importance @ errors),
         templates=options.template_strength * float(np.square(state.templates - priors.templates).sum()),
-        joints=float((priors.joint_strengths[..., None] * np.square(state.joints - regressed)).sum()),
+        joints=float(np.einsum("hka,hkab,hkb->", shifts, priors.joint_strengths, shifts)),
         correctives=correctives,
         weights=weight_cost(options) * float(np.square(state.weights - priors.weights).sum()),
         rms_mm=1e3 * float(np.sqrt(errors.sum() / (errors.size * state.templates.shape[1]))),

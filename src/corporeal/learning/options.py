@@ -27,9 +27,9 @@ class LearningOptions:
             observation.
         template_strength: of the start model's shape, per vertex of a personal template.
         joint_strength: least strength of the start model's joints.
-        joint_share: strength of the start model's joints as a share of what the registrations say of a joint
-            in the direction that they say most of. It decides where a joint lies along an axis about which
-            alone it turns.
+        joint_share: strength of the start model's joints in a direction, as a share of what the registrations
+            say less of it than of the direction that they say most of. It decides where a joint lies along an
+            axis about which alone it turns.
         first_passes: over joints, poses and nearly rigid parts, before there are templates.
         shape_count: most shape directions.
         start_shape_weight: of the start model's shape covariance, added to that of the learned people; 0 is
@@ -54,8 +54,8 @@ class LearningOptions:
     weights: bool = True
     weight_strength: float = 20.0
     template_strength: float = 0.5
-    joint_strength: float = 10.0
-    joint_share: float = 0.15
+    joint_strength: float = 1.0
+    joint_share: float = 0.05
     first_passes: int = 12
     shape_count: int = 30
     start_shape_weight: float = 0.0

@@ -78,7 +78,8 @@ def personal_template(
         directions[:] = model.pose_directions.reshape(3 * V, -1).T
     template = np.asarray(model.template, dtype=np.float64)[None]
 
-    priors = Priors(template, model.skinning_weights, np.full((1, K), _JOINT_STRENGTH), np.zeros((K - 1, V)))
+    held = np.tile(_JOINT_STRENGTH * np.eye(3), (1, K, 1, 1))
+    priors = Priors(template, model.skinning_weights, held, np.zeros((K - 1, V)))
     rotations = matrix_from_axis_angle(poses.reshape(-1, 3).astype(np.float64)).reshape(n, K, 3, 3)
     state = LearningState(
         templates=template,

@@ -45,17 +45,17 @@ def fit_templates(
 
 def _tied_solution(
     systems: Float[np.ndarray, "V 3 3"], pulls: Float[np.ndarray, "V 3"], regressor: Float[np.ndarray, "K V"],
-    joints: Float[np.ndarray, "K 3"], strengths: Float[np.ndarray, " K"],
+    joints: Float[np.ndarray, "K 3"], strengths: Float[np.ndarray, "K 3 3"],
 ) -> Float[np.ndarray, "V 3"]:  # fmt: skip
-    """Blocks of 3 x 3 plus ``strengths`` |regressor x - joints|^2, by the Woodbury identity."""
+    """Blocks of 3 x 3 plus |regressor x - joints|^2 in the norm of ``strengths``: Woodbury's identity."""
     K = len(joints)
     inverse = np.linalg.inv(systems)
-    pulls = pulls + regressor.T @ (strengths[:, None] * joints)
+    pulls = pulls + regressor.T @ np.einsum("kab,kb->ka", strengths, joints)
     free = np.einsum("vab,vb->va", inverse, pulls)
     used = np.flatnonzero(regressor.any(axis=0))
     some = regressor[:, used]
     small = np.einsum("kv,lv,vab->kalb", some, some, inverse[used], optimize=True).reshape(3 * K, 3 * K)
-    small += np.diag(np.repeat(1 / strengths, 3))
+    small += block_diagonal(np.linalg.inv(strengths))
     tension = np.linalg.solve(small, (regressor @ free).reshape(-1)).reshape(K, 3)
     free[used] -= np.einsum("vab,kv,kb->va", inverse[used], some, tension, optimize=True)
     return free
@@ -64,7 +64,7 @@ def _tied_solution(
 def fit_joints(
     state: LearningState,
     data: Registrations,
-    strengths: Float[np.ndarray, "H K"],
+    strengths: Float[np.ndarray, "H K 3 3"],
     held: Float[np.ndarray, "H K 3"] | None = None,
 ) -> LearningState:
     """Every hand's joints together with the translations of its registrations, which are eliminated.
@@ -78,8 +78,8 @@ def fit_joints(
     spread = centred.T @ centred
     if held is None:
         held = np.stack([state.regressor @ template for template in state.templates])
-    systems = np.repeat(strengths, 3, axis=1)[:, :, None] * np.eye(3 * K)
-    pulls = (strengths[..., None] * (held - state.joints)).reshape(H, -1)
+    systems = np.stack([block_diagonal(own) for own in strengths])
+    pulls = np.einsum("hkab,hkb->hka", strengths, held - state.joints).reshape(H, -1)
     residual_means = np.empty((len(data.hands), 3))
     weights = state.weight_table()
     levers = np.empty((len(data.hands), K, 3, 3))
@@ -117,12 +117,13 @@ def _levers(state: LearningState, motions: Float[np.ndarray, "n K 12"]) -> Float
 
 def joint_strengths(
     state: LearningState, data: Registrations, options: LearningOptions
-) -> Float[np.ndarray, "H K"]:
-    """How many observations hold a joint: a share of what its best observed direction has.
+) -> Float[np.ndarray, "H K 3 3"]:
+    """How many observations hold a joint in each direction: a share of what others are observed better.
 
-    A joint that turns about one axis is not seen along it. One strength for all joints either held knuckles
-    back, or let the outer joints of the fingers slide out of the finger (4 mm, along with the twist of
-    registrations).
+    A joint that turns about one axis is not seen along it: there it is held, and nearly free across. One
+    strength for all joints either held knuckles back, or let the outer joints of the fingers slide out of the
+    finger (4 mm, along with the twist of registrations); one strength for all directions of a joint kept the
+    thumb's root where the start model had it, 6 mm off.
     """
     _, centred = _carried(state)
     spread = np.einsum("vk,vk->k", centred, centred)
@@ -131,7 +132,16 @@ def joint_strengths(
         levers = _levers(state, posed.motions)
         np.add.at(seen, data.hands[posed.rows], np.einsum("k,nkca,nkcb->nkab", spread, levers, levers))
     most = np.linalg.eigvalsh(seen)[..., -1]
-    return np.maximum(options.joint_strength, options.joint_share * most)
+    unseen = most[..., None, None] * np.eye(3) - seen
+    return options.joint_strength * np.eye(3) + options.joint_share * unseen
+
+
+def block_diagonal(blocks: Float[np.ndarray, "K 3 3"]) -> Float[np.ndarray, "K3 K3"]:
+    """The square matrix with these blocks on its diagonal."""
+    K = len(blocks)
+    placed = np.zeros((K, 3, K, 3))
+    placed[np.arange(K), :, np.arange(K), :] = blocks
+    return placed.reshape(3 * K, 3 * K)
 
 
 def _carried(state: LearningState) -> tuple[Float[np.ndarray, " K"], Float[np.ndarray, "V K"]]:
