@@ -86,6 +86,42 @@ class Convert:
 
 
 @dataclass(frozen=True)
+class Merge:
+    """Join a hand model to a body: fingers from the hand, the rest, the wrist and the shapes from the body.
+
+    Attributes:
+        body: SMPL, SMPL+H or SMPL-X file, one of ours, or the name of a model in the box.
+        hand: MANO file or hand of ours, of either side; the other side is its mirror image.
+        output: the model file (.npz or .pkl).
+        other_hand: the hand of the other side, if it is not to be mirrored.
+        vertices: file (.npz or .pkl) with left_hand and right_hand, the body's index of every hand vertex;
+            needed for bodies without fingers and where the two meshes differ.
+        hand_pose: pca, or full: all components are kept.
+        hand_components: of each hand's pose space that are kept with pca.
+        seam_width: millimetres behind the seam over which the hand is faded in.
+        seam_poses: random poses in which the seam is measured.
+        name: of the model.
+        layout: native keeps everything; official writes the family's keys alone.
+        precision: in which shape, expression and pose directions are stored.
+        json: also write the machine-readable result to this file.
+    """
+
+    body: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="BODY")]
+    hand: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="HAND")]
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    other_hand: Path | None = None
+    vertices: Path | None = None
+    hand_pose: Literal["pca", "full"] = "pca"
+    hand_components: int = 6
+    seam_width: float = 20.0
+    seam_poses: int = 200
+    name: str | None = None
+    layout: Literal["native", "official"] = "native"
+    precision: Literal["float64", "float32", "float16"] = "float64"
+    json: Path | None = None
+
+
+@dataclass(frozen=True)
 class Simulate:
     """Simulate a capture session of hands: soft flesh, a stereo scanner, faults, and the truth.
 

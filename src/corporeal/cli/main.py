@@ -15,6 +15,7 @@ from corporeal.cli.commands import (
     Evaluate,
     Info,
     Learn,
+    Merge,
     Pipeline,
     Register,
     Report,
@@ -31,6 +32,7 @@ Command = (
     | Annotated[Learn, tyro.conf.subcommand("learn")]
     | Annotated[Pipeline, tyro.conf.subcommand("pipeline")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
+    | Annotated[Merge, tyro.conf.subcommand("merge")]
     | Annotated[Report, tyro.conf.subcommand("report")]
 )
 
