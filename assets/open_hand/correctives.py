@@ -29,7 +29,7 @@ def dual_quaternion_correctives(
         descendants = _descendants(j)
         share = weights[:, descendants].sum(1)
         mixed = np.flatnonzero((share > 1e-3) & (share < 1 - 1e-3))
-        offsets = _bent_difference(template[mixed], joints[j], share[mixed], rotations)
+        offsets = bent_difference(template[mixed], joints[j], share[mixed], rotations)
         features = (rotations.as_matrix() - np.eye(3)).reshape(_SAMPLES, 9)
         gram = features.T @ features + _RIDGE * np.eye(9)
         solution = np.linalg.solve(gram, features.T @ offsets.reshape(_SAMPLES, -1))
@@ -39,7 +39,7 @@ def dual_quaternion_correctives(
     return directions
 
 
-def _bent_difference(
+def bent_difference(
     points: np.ndarray, joint: np.ndarray, share: np.ndarray, rotations: Rotation
 ) -> np.ndarray:
     """Rest-pose offsets (N, v, 3) that make linear blending give the blended screw's surface.
