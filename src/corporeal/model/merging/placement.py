@@ -7,14 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float, Int
-from scipy.spatial import cKDTree
 
 from corporeal.geometry.closest_points import ClosestPoints, SurfaceTree
+from corporeal.geometry.mesh_matching import matched_from
 from corporeal.model.merging.errors import MergeError
 from corporeal.model.surface_model import SurfaceModel
 
-# Vertices that lie closer than this are the same vertex, if the faces agree too.
-_SAME = 2e-3
+# Hands of one mesh may be of people that differ by this; a mesh of another place does not come so near.
+_SAME = 30e-3
+_TRIED = 60
 # Surfaces of two templates of one hand in one pose lie within this in the median; else they are not laid
 # onto one another.
 _NEAR = 5e-3
@@ -85,23 +86,26 @@ def found_placement(
             "metres?"
         )
     _check_zero_pose(source, target)
-    distances, nearest = cKDTree(body.template).query(hand.template + shift)
-    if distances.max() < _SAME and _same_mesh(body, hand, nearest):
-        return _one_to_one(body, hand, nearest, "same topology")
+    vertices = _same_mesh(body, hand, hand.template + shift)
+    if vertices is not None:
+        return _one_to_one(body, hand, vertices, "same topology")
     laid = (hand.template - source.mean(axis=0)) * scale + target.mean(axis=0)
     return _closest(body, hand, laid, body_joints)
 
 
-def _same_mesh(body: SurfaceModel, hand: SurfaceModel, nearest: np.ndarray) -> bool:
-    if len(np.unique(nearest)) < len(nearest):
-        return False
-    there = set(map(tuple, _lowest_first(body.faces).tolist()))
-    return there.issuperset(map(tuple, _lowest_first(nearest[hand.faces]).tolist()))
-
-
-def _lowest_first(faces: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, "F 3"]:
-    order = (faces.argmin(axis=1)[:, None] + np.arange(3)) % 3
-    return np.take_along_axis(faces, order, axis=1)
+def _same_mesh(
+    body: SurfaceModel, hand: SurfaceModel, laid: Float[np.ndarray, "h 3"]
+) -> Int[np.ndarray, " h"] | None:
+    """The body's vertices of the hand's mesh: tried from the body's triangles around the hand's first one."""
+    centre = laid[hand.faces[0]].mean(axis=0)
+    near = np.argsort(np.linalg.norm(body.template[body.faces].mean(axis=1) - centre, axis=1))[:_TRIED]
+    for face in body.faces[near].tolist():
+        for corner in range(3):
+            first = (face[corner], face[(corner + 1) % 3], face[(corner + 2) % 3])
+            found = matched_from(hand.faces, body.faces, first)
+            if found is not None and np.linalg.norm(body.template[found] - laid, axis=1).max() < _SAME:
+                return found
+    return None
 
 
 def _one_to_one(body: SurfaceModel, hand: SurfaceModel, vertices: np.ndarray, method: str) -> HandPlacement:
