@@ -11,6 +11,7 @@ from corporeal.registration.gaussian_pose import GaussianPose, mirrored_pose, po
 from corporeal.registration.session import files
 from corporeal.registration.session.files import SessionFolderError
 from corporeal.registration.session.jobs import Execute, ScanJob, WorkerSetup
+from corporeal.registration.session.lock import folder_lock
 from corporeal.registration.session.manifest import check_same, new_manifest
 from corporeal.registration.session.records import KnownLandmarks, RecordError, SessionRecord
 from corporeal.scans.formats.session import CaptureSession, SessionScan
@@ -68,29 +69,36 @@ def register_session(plan: SessionPlan) -> list[dict[str, Any]]:
         The items of all scans, sorted by name; they stand in ``session.json`` too.
 
     Raises:
-        SessionFolderError: the folder holds results of other options, cannot be written, or is full.
+        SessionFolderError: the folder holds results of other options, cannot be written, is full, or another
+            run writes to it.
         WorkerError: no worker can do its work.
     """
     try:
-        records = _prepared(plan)
-        missing = [scan for scan in plan.session.scans if scan.name not in records]
-        _run_round(plan, records, [_job(plan, scan) for scan in missing], 1)
-        if plan.rounds > 1:
-            priors = _priors(plan, records)
-            jobs = [
-                _second_job(plan, scan, priors[scan.protocol_pose], records[scan.name])
-                for scan in plan.session.scans
-                if scan.protocol_pose in priors and records[scan.name].row["round"] < 2
-            ]
-            _run_round(plan, records, jobs, 2)
-        items = [files.read_record(files.record_path(plan.folder, name)).row for name in sorted(records)]
-        files.write_json_file(plan.folder / files.ITEMS, {"items": items})
+        with folder_lock(plan.folder):
+            items = _registered(plan)
     except OSError as error:
         where = error.filename or plan.folder
         raise SessionFolderError(
             f"{where}: cannot be written ({error.strerror or error}); make room or give another folder, and "
             "the same command goes on where it stopped"
         ) from error
+    return items
+
+
+def _registered(plan: SessionPlan) -> list[dict[str, Any]]:
+    records = _prepared(plan)
+    missing = [scan for scan in plan.session.scans if scan.name not in records]
+    _run_round(plan, records, [_job(plan, scan) for scan in missing], 1)
+    if plan.rounds > 1:
+        priors = _priors(plan, records)
+        jobs = [
+            _second_job(plan, scan, priors[scan.protocol_pose], records[scan.name])
+            for scan in plan.session.scans
+            if scan.protocol_pose in priors and records[scan.name].row["round"] < 2
+        ]
+        _run_round(plan, records, jobs, 2)
+    items = [files.read_record(files.record_path(plan.folder, name)).row for name in sorted(records)]
+    files.write_json_file(plan.folder / files.ITEMS, {"items": items})
     return items
 
 
