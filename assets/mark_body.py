@@ -2,8 +2,8 @@
 
 The 68 points of the face are where MediaPipe's face detector sees them on a picture of the body with painted
 eyes; left and right are averaged. Toes, heels and ears are found by shape. They are corners and weights of
-triangles, so that they stay where they are when the model is built again: run this only after a change of mesh.
-It needs the extra `detect`.
+triangles, so that they stay where they are when the model is built again: run this only after a change of
+mesh. It needs the extra `detect`.
 
     python assets/mark_body.py [--body FILE]
 """
@@ -102,7 +102,7 @@ def body_points(model: SurfaceModel) -> dict[str, np.ndarray]:
         "big_toe": toes[np.argmax(toes @ [0.35, 0, 1.0])],
         "small_toe": toes[np.argmax(toes @ [-1.0, 0, 0.75])],
         "heel": toes[np.argmin(toes[:, 2])],
-        "eye_front": joints[name("right_eye_smplhf")] + [0, 0, 0.02],
+        "eye_front": joints[name("right_eye_smplhf")] + [0, 0, 0.0125],
         # The ear's canal: behind and below the eye, at the side of the skull.
         "ear": template[head[np.argmin(np.linalg.norm(
             template[head] - (joints[name("right_eye_smplhf")] + [-0.046, -0.02, -0.079]), axis=1))]],

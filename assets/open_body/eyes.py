@@ -1,9 +1,9 @@
 """Eyeballs for a mesh that has empty sockets: each socket is turned inside out onto a ball.
 
 The source's surface goes in between the lids and lines a pocket; its eyes are meshes of their own, which the
-wheel does not have. Laid on the front of a ball round the eye's joint, the pocket is the visible eye: the body
-stays one closed surface with the source's vertices, and the eyes can turn. Two more pieces (as SMPL-X has them)
-would hide a pocket behind each ball, where closest points get lost.
+wheel does not have. Laid on the front of a ball round the eye's joint, the pocket is the visible eye:
+the body stays one closed surface with the source's vertices, and the eyes can turn. Two more pieces (as
+SMPL-X has them) would hide a pocket behind each ball, where closest points get lost.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _UNDER_LIDS = 1.12
 
 @dataclass(frozen=True, eq=False)
 class Eyes:
-    """The left socket's vertices, its rim, how it lies flat in it, and how far each vertex turns with the eye."""
+    """The left socket, its rim, how it lies flat in it, how far each vertex turns with the eye."""
 
     socket: np.ndarray
     rim: np.ndarray
@@ -92,7 +92,7 @@ def rim_of(faces: np.ndarray, socket: np.ndarray, count: int) -> np.ndarray:
 
 
 def laid_flat(vertices: np.ndarray, faces: np.ndarray, socket: np.ndarray, rim: np.ndarray) -> np.ndarray:
-    """(socket, rim) weights that spread the socket evenly inside its rim: Tutte's embedding, which never folds."""
+    """(socket, rim) weights that spread the socket evenly inside its rim: Tutte's embedding."""
     place = np.full(len(vertices), -1)
     place[np.concatenate([socket, rim])] = np.arange(len(socket) + len(rim))
     edges = place[np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])]

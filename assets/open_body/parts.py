@@ -18,9 +18,13 @@ _SIDED = {
 }  # fmt: skip
 
 
-def body_parts(weights: np.ndarray) -> dict[str, np.ndarray]:
+def body_parts(weights: np.ndarray, mirror: np.ndarray) -> dict[str, np.ndarray]:
     """Names as field names them, "left_hand" with all its fingers; together they are all vertices."""
     strongest = weights.argmax(1)
+    # On the middle line left and right are equal: what is of neither side decides.
+    middle = np.flatnonzero(mirror == np.arange(len(mirror)))
+    neither = [j for j, name in enumerate(JOINT_NAMES) if not name.startswith(("left_", "right_"))]
+    strongest[middle] = np.array(neither)[weights[middle][:, neither].argmax(1)]
     groups = {name: list(joints) for name, joints in _MIDDLE.items()}
     for side in ("left", "right"):
         for name, joints in _SIDED.items():

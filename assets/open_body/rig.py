@@ -16,8 +16,10 @@ _BODY = {
     "left_knee": (1, ["LeftShin"]), "right_knee": (2, ["RightShin"]), "spine2": (3, ["Spine2"]),
     "left_ankle": (4, ["LeftFoot"]), "right_ankle": (5, ["RightFoot"]), "spine3": (6, ["Chest"]),
     "left_foot": (7, ["LeftToeBase", "LeftToeEnd"]), "right_foot": (8, ["RightToeBase", "RightToeEnd"]),
-    "neck": (9, ["Neck1", "Neck2"]), "left_collar": (9, ["LeftShoulder"]), "right_collar": (9, ["RightShoulder"]),
-    "head": (12, ["Head", "HeadEnd"]), "left_shoulder": (13, ["LeftArm"]), "right_shoulder": (14, ["RightArm"]),
+    "neck": (9, ["Neck1", "Neck2"]), "left_collar": (9, ["LeftShoulder"]),
+    "right_collar": (9, ["RightShoulder"]),
+    "head": (12, ["Head", "HeadEnd"]), "left_shoulder": (13, ["LeftArm"]),
+    "right_shoulder": (14, ["RightArm"]),
     "left_elbow": (16, ["LeftForeArm"]), "right_elbow": (17, ["RightForeArm"]),
     "left_wrist": (18, []), "right_wrist": (19, []),
     "jaw": (15, ["Jaw"]), "left_eye_smplhf": (15, ["LeftEye"]), "right_eye_smplhf": (15, ["RightEye"]),
@@ -81,8 +83,8 @@ def t_pose(
     """The person with arms out sideways, palms down and flat hands, the pelvis at the origin.
 
     The body is posed with dual quaternions (blending matrices over the 48 degrees of the arms folds the
-    armpits), the right hand exactly as the open hand's are, by ``hand_vertices`` and their own 16 weights; it is
-    returned beside the body, in its own frame.
+    armpits), the right hand exactly as the open hand is, by ``hand_vertices`` and their own 16 weights; it
+    is returned beside the body, in its own frame.
     """
     turns, hand = _turns(stance, hand_vertices, hand_weights)
     joints = np.zeros_like(stance.joints)
@@ -99,8 +101,8 @@ def with_hands(
     vertices: np.ndarray, joints: np.ndarray, hand: np.ndarray, hand_vertices: np.ndarray, mirror: np.ndarray
 ) -> np.ndarray:
     """The body's surface with a hand's own (V_hand, 3) at both wrists, faded in behind the wrist."""
-    # All hand from 8 mm beyond the wrist joint on, all body at the loop (21 to 37 mm behind it). The forearm of
-    # the T-pose leaves the hand at another angle than the cut hand's stump: over 12 mm there was a step.
+    # All hand from 8 mm beyond the wrist joint on, all body at the loop (21 to 37 mm behind it). The T-pose's
+    # forearm leaves the hand at another angle than the cut hand's stump: over 12 mm there was a step.
     share = np.clip((_ALL_BODY - hand[:, 0]) / (_ALL_BODY - _ALL_HAND), 0, 1)[:, None]
     share = share * share * (3 - 2 * share)
     joined = vertices.copy()
@@ -124,7 +126,7 @@ def _turns(
     shoulder = _frame(outward, np.array([0.0, 1, 0])) @ _frame(upper, np.cross(upper, fore)).T
     elbow = _frame(outward, np.array([0.0, 1, 0])) @ _frame(fore, np.cross(upper, fore)).T
     wrist = _hand_turn(joints)
-    # Half of what is left of the turn about the forearm's axis is the forearm's own: it pronates with the hand.
+    # Half of what is left of the turn about the forearm's axis is the forearm's own: it pronates.
     twist = _twist(wrist @ elbow.T, outward)
     elbow = Rotation.from_rotvec(0.5 * twist * outward).as_matrix() @ elbow
     right = {14: collar, 17: shoulder, 19: elbow, 21: wrist} | dict.fromkeys(range(40, 55), wrist)

@@ -12,8 +12,8 @@ MIRROR = np.array([-1.0, 1.0, 1.0])
 def mirror_map(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """(V,) mirrored vertex of every vertex; its own inverse, and every triangle is the mirror of one.
 
-    Grown from one edge whose mirror image is plain: places alone do not tell (the source's two sides differ by
-    up to 20 mm inside the mouth).
+    Grown from one edge whose mirror image is plain: places alone do not tell (the source's two sides
+    differ by up to 20 mm inside the mouth).
 
     Raises:
         ValueError: the mesh is not its own mirror image.

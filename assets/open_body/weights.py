@@ -45,7 +45,7 @@ def body_regressor(
     hand_vertices: np.ndarray,
     hand: np.ndarray,
 ) -> np.ndarray:
-    """(55, V): SMPL's recipe over all identities; rows of the fingers are those of the open hand (16, V_hand).
+    """(55, V): SMPL's recipe over all identities; rows of the fingers are the open hand's (16, V_hand).
 
     The wrist has a row of its own: behind it the body's arm is not the hand's stump.
     """

@@ -13,10 +13,12 @@ from corporeal.model.formats.containers import source_of, write_pickle
 from corporeal.model.formats.core_arrays import Precision, core_keys
 from corporeal.model.formats.errors import LeftHandWarning, ModelFileError, file_error
 from corporeal.model.formats.families import family_of_tree
+from corporeal.model.formats.fields import numbers
 from corporeal.model.formats.left_hand import check_left_hand, repaired_left_hand
 from corporeal.model.formats.native import is_native, native_keys, read_native
 from corporeal.model.formats.official import read_official, statistics_keys
 from corporeal.model.mirror import mirror_model
+from corporeal.model.populations import Population, of_population
 from corporeal.model.surface_model import Side, SurfaceModel
 
 __all__ = [
@@ -30,6 +32,8 @@ __all__ = [
 
 Layout = Literal["native", "official"]
 
+_SEXES = ("female", "male")
+_NAMES = '"hand", "body", "body_female" and "body_male"'
 _EXPECTED = "expected .npz or .pkl: a model of corporeal, MANO, SMPL, SMPL+H, SMPL-X or FLAME"
 # Archives; pickles of protocol 2 and later; of protocols 0 and 1 what opens a tuple, dictionary or class.
 _CONTAINER_START = re.compile(rb"PK|\x80|[(}\]]|c[\w.]+\r?\n[\w.]+\r?\n")
@@ -113,15 +117,24 @@ def save_model(
 
 
 def open_model(name: str, side: Side = "right") -> SurfaceModel:
-    """A model that comes with the package, for instance "hand"; a left hand is the mirrored right one.
+    """A model that comes with the package: "hand", "body", "body_female", "body_male".
+
+    A left hand is the mirrored right one. The sexes are the body about another mean, in the same shape space.
 
     Raises:
         ModelFileError: there is no model of that name.
     """
     folder = resources.files("corporeal.model") / "open_models"
-    with resources.as_file(folder / f"{name}.npz") as path:
+    base, _, sex = name.rpartition("_")
+    with resources.as_file(folder) as place:
+        if sex in _SEXES and (place / f"{base}_sexes.npz").is_file():
+            source = source_of((place / f"{base}_sexes.npz").read_bytes())
+            mean = numbers(source, f"{sex}_mean", (None,))
+            directions = numbers(source, f"{sex}_directions", (len(mean), len(mean)))
+            return of_population(load_model(place / f"{base}.npz"), Population(mean, directions), name)
+        path = place / f"{name}.npz"
         if not path.is_file():
-            raise file_error(name, "no model of that name comes with corporeal", 'the hand is called "hand"')
+            raise file_error(name, "no model of that name comes with corporeal", f"there are {_NAMES}")
         model = load_model(path)
     return model if model.side in (None, side) else mirror_model(model)
 
