@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from corporeal.learning.personal import personal_model, personal_template
+from corporeal.learning.personal import fitted_poses, personal_model, personal_template
 from corporeal.model.jacobian import evaluate
 
 
@@ -47,3 +47,21 @@ def test_refusals(person):
         personal_template(tube.model, training.vertices[:0], training.poses[:0], training.translations[:0])
     with pytest.raises(ValueError, match=r"template: shape \(251, 3\)"):
         personal_model(tube.model, tube.model.template[1:])
+
+
+def test_poses_around_a_kept_template_are_found(known_tube, rng):
+    """From poses half a radian off; the template stays."""
+    model = known_tube.model
+    template = model.template + model.shape_directions @ rng.standard_normal(model.shape_count)
+    own = personal_model(model, template)
+    poses = 0.4 * rng.standard_normal((3, model.joint_count, 3))
+    shifts = 0.1 * rng.standard_normal((3, 3))
+    vertices = np.stack(
+        [evaluate(own, np.zeros(0), pose, shift).vertices for pose, shift in zip(poses, shifts, strict=True)]
+    )
+    start = poses + 0.2 * rng.standard_normal(poses.shape)
+    found = fitted_poses(own, vertices, start, np.zeros((3, 3)), passes=20)
+    np.testing.assert_array_equal(found.template, template)
+    for number in range(3):
+        posed = evaluate(own, np.zeros(0), found.poses[number], found.translations[number]).vertices
+        assert 1e3 * np.linalg.norm(posed - vertices[number], axis=1).max() < 0.1

@@ -13,6 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from corporeal.cli.commands import Evaluate
 from corporeal.cli.errors import CommandError
+from corporeal.cli.evaluation_pictures import write_evaluation_pictures
 from corporeal.cli.files import check_output_folder, check_result, write_json, write_result
 from corporeal.cli.held_out_session import (
     RegisteredSession,
@@ -62,7 +63,7 @@ def run(config: Evaluate) -> int:
     results = _fitted(study, config.workers or os.cpu_count() or 1, console)
     truth, truth_notes = _truth(study, test, session, console)
     results = dataclasses.replace(results, truth=truth, notes=(*results.notes, *notes, *truth_notes))
-    _write(config, results, time.monotonic() - begun, console)
+    _write(config, study, results, time.monotonic() - begun, console)
     return 0
 
 
@@ -167,7 +168,9 @@ def _joint_note(label: str, error: Summary) -> str:
     )
 
 
-def _write(config: Evaluate, results: EvaluationResults, seconds: float, console: Console) -> None:
+def _write(
+    config: Evaluate, study: Study, results: EvaluationResults, seconds: float, console: Console
+) -> None:
     content = results.to_json()
     try:
         config.output.mkdir(parents=True, exist_ok=True)
@@ -175,6 +178,9 @@ def _write(config: Evaluate, results: EvaluationResults, seconds: float, console
         title = f"{config.model.stem} on {config.test.name}"
         write_evaluation_markdown(config.output / "evaluation.md", content, title)
         plots = write_evaluation_plots(config.output, content)
+        write_evaluation_pictures(
+            config.output, study.learned.model, study.personal, study.scans, study.variants
+        )
     except OSError as error:
         raise CommandError(f"-o {config.output}: cannot be written: {error.strerror or error}") from error
     for line in plots.left_out:

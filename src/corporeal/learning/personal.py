@@ -72,14 +72,50 @@ def personal_template(
             f"{model.vertex_count} vertices and {model.joint_count} joints"
         )
     options = LearningOptions(template_strength=_TEMPLATE_STRENGTH)
+    template = np.asarray(model.template, dtype=np.float64)[None]
     K, V = model.joint_count, model.vertex_count
+    held = np.tile(_JOINT_STRENGTH * np.eye(3), (1, K, 1, 1))
+    priors = Priors(template, model.skinning_weights, held, np.zeros((K - 1, V)))
+    state, data = _state(model, vertices, poses, translations)
+    for _ in range(passes):
+        state = fit_poses(state, data)
+        state = fit_templates(state, data, priors, options)
+        state = _with_regressed_joints(state)
+    state = fit_poses(state, data)
+    return PersonalTemplate(state.templates[0], _axis_angles(state), state.translations)
+
+
+def fitted_poses(
+    model: SurfaceModel,
+    vertices: Float[np.ndarray, "n V 3"],
+    poses: Float[np.ndarray, "n K 3"],
+    translations: Float[np.ndarray, "n 3"],
+    passes: int = 10,
+) -> PersonalTemplate:
+    """The poses that bring the model, its template kept, nearest to registrations; squared distances.
+
+    Args:
+        model: of one person.
+        vertices: registrations, metres.
+        poses: axis-angle, radians: start values.
+        translations: start values, metres.
+        passes: each of two damped Gauss-Newton steps.
+    """
+    state, data = _state(model, vertices, poses, translations)
+    for _ in range(passes):
+        state = fit_poses(state, data)
+    return PersonalTemplate(state.templates[0], _axis_angles(state), state.translations)
+
+
+def _state(
+    model: SurfaceModel, vertices: np.ndarray, poses: np.ndarray, translations: np.ndarray
+) -> tuple[LearningState, Registrations]:
+    """Registrations of one hand, and the model as a state of learning."""
+    n, K, V = len(vertices), model.joint_count, model.vertex_count
     directions = np.zeros((9 * (K - 1), 3 * V))
     if model.has_correctives:
         directions[:] = model.pose_directions.reshape(3 * V, -1).T
     template = np.asarray(model.template, dtype=np.float64)[None]
-
-    held = np.tile(_JOINT_STRENGTH * np.eye(3), (1, K, 1, 1))
-    priors = Priors(template, model.skinning_weights, held, np.zeros((K - 1, V)))
     rotations = matrix_from_axis_angle(poses.reshape(-1, 3).astype(np.float64)).reshape(n, K, 3, 3)
     state = LearningState(
         templates=template,
@@ -92,13 +128,12 @@ def personal_template(
         parents=model.parents,
     )
     data = Registrations(np.asarray(vertices, dtype=np.float64), np.zeros(n, dtype=np.int64), np.ones(n))
-    for _ in range(passes):
-        state = fit_poses(state, data)
-        state = fit_templates(state, data, priors, options)
-        state = _with_regressed_joints(state)
-    state = fit_poses(state, data)
-    found = axis_angle_from_matrix(state.rotations.reshape(-1, 3, 3)).reshape(n, K, 3)
-    return PersonalTemplate(state.templates[0], found, state.translations)
+    return state, data
+
+
+def _axis_angles(state: LearningState) -> Float[np.ndarray, "n K 3"]:
+    n, K = state.rotations.shape[:2]
+    return axis_angle_from_matrix(state.rotations.reshape(-1, 3, 3)).reshape(n, K, 3)
 
 
 def _with_regressed_joints(state: LearningState) -> LearningState:

@@ -32,13 +32,15 @@ def test_counts_sides_and_options(both_sides):
     planned, notes = planned_variants(both_sides, "right")
     sizes = {variant.label: len(variant.training) for variant in planned}
     assert sizes == {
-        "learned without correctives": 88, "constant regularisation": 88, "right only, 20": 20,
-        "right only": 40, "mirrored, 20": 20, "mirrored, 40": 40, "mirrored": 80,
+        "learned without correctives": 88, "constant regularisation": 88,
+        "learned without equation 11": 88, "right only, 20": 20, "right only": 40,
+        "mirrored, 20": 20, "mirrored, 40": 40, "mirrored": 80,
     }  # fmt: skip
     assert notes == ()
-    assert [variant.options.correctives for variant in planned] == [False] + 6 * [True]
+    assert [variant.options.correctives for variant in planned] == [False] + 7 * [True]
+    assert [variant.options.neutral_first for variant in planned] == [True, True, False] + 5 * [True]
     assert [variant.options.regularisation for variant in planned[:3]] == ["geodesic", "constant", "geodesic"]
-    for variant in planned[2:]:
+    for variant in planned[3:]:
         lefts = sum(hand.endswith("/left") for hand in variant.training.hands)
         assert lefts == (0 if variant.learning_curve == ONE_SIDED else len(variant.training) // 2)
         assert set(variant.training.subjects) == set(both_sides.subjects)
@@ -57,10 +59,10 @@ def test_smaller_sets_lie_in_larger_ones_and_right_ones_in_mirrored_ones(both_si
 
 def test_a_set_that_is_too_small_says_so(both_sides, known_tube):
     planned, notes = planned_variants(both_sides, "right")
-    assert {variant.label: len(variant.training) for variant in planned[2:]} == {ONE_SIDED: 44, MIRRORED: 88}
+    assert {variant.label: len(variant.training) for variant in planned[3:]} == {ONE_SIDED: 44, MIRRORED: 88}
     assert "44 registrations a side, the paper has 777" in notes[0]
     planned, notes = planned_variants(known_tube.training, "right")
-    assert len(planned) == 2
+    assert len(planned) == 3
     assert "both sides" in notes[0]
 
 

@@ -35,6 +35,7 @@ from corporeal.learning.evaluation.variants import (
     MIRRORED,
     ONE_SIDED,
     WITHOUT_CORRECTIVES,
+    WITHOUT_NEUTRAL_FIRST,
     Variant,
 )
 from corporeal.learning.joint_distances import geodesic_joint_distances
@@ -69,6 +70,7 @@ _RATIOS = (
     _AskedRatio("correctives on / off", LEARNED, OFF, _POSE_ONLY, 0.72, 0.72),
     _AskedRatio("learned with / without correctives", LEARNED, WITHOUT_CORRECTIVES, _POSE_ONLY, None, 1.0),
     _AskedRatio("geodesic / constant regularisation", LEARNED, CONSTANT, _POSE_ONLY),
+    _AskedRatio("equation 11 on / off", LEARNED, WITHOUT_NEUTRAL_FIRST, _POSE_ONLY),
     _AskedRatio("mirrored / right only", MIRRORED, ONE_SIDED, _POSE_ONLY, 0.886, 1.0),
     _AskedRatio("learned / crude start", LEARNED, CRUDE, _FREE, 0.35, 0.35),
     _AskedRatio("learned / asset start", LEARNED, ASSET, _FREE, None, 0.8),

@@ -20,6 +20,7 @@ A_SIDE = 777
 MIRRORED, ONE_SIDED = "mirrored", "right only"
 WITHOUT_CORRECTIVES = "learned without correctives"
 CONSTANT = "constant regularisation"
+WITHOUT_NEUTRAL_FIRST = "learned without equation 11"
 _MIRRORED_COUNTS = (250, 500, 1000, 1500)
 _ONE_SIDED_COUNTS = (250, 500)
 
@@ -68,6 +69,7 @@ def planned_variants(
     variants = [
         Variant(WITHOUT_CORRECTIVES, training, dataclasses.replace(options, correctives=False)),
         Variant(CONSTANT, training, dataclasses.replace(options, regularisation="constant")),
+        Variant(WITHOUT_NEUTRAL_FIRST, training, dataclasses.replace(options, neutral_first=False)),
     ]
     own = np.array([hand.endswith(f"/{side}") for hand in training.hands])
     orders = [drawn_evenly(training.subjects, np.flatnonzero(part), seed) for part in (own, ~own)]
