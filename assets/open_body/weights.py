@@ -7,7 +7,7 @@ import numpy as np
 from .rig import LEFT_HAND, PARENTS, RIGHT_HAND, Stance, joint_groups, mirror_joints
 
 _MOST = 4
-_NEIGHBOURS = 500
+_NEAREST, _FURTHEST, _THINNED = 250, 5000, 12
 
 
 def body_weights(
@@ -72,7 +72,9 @@ def _row(
 
     own = weights[:, j] + (weights[:, PARENTS[j]] if j else 0) > 0.3
     near = np.argsort(np.where(own, np.linalg.norm(mean - centre, axis=1), np.inf))
-    near = near[: min(_NEIGHBOURS, int(own.sum()))]
+    near = near[: int(own.sum())]
+    # The nearest alone lie in front of an eye or beside the spine: thinned ones further off close the ring.
+    near = np.concatenate([near[:_NEAREST], near[_NEAREST:_FURTHEST:_THINNED]])
     strict, even = 10.0, 1e-3  # as for the hand: a sum of one, and a little pull towards the ring's mean
     A = np.concatenate([stance.vertices[near].T for stance in stances])
     b = np.concatenate([stance.joints[j] for stance in stances])

@@ -132,6 +132,6 @@ def test_a_whole_study(study):
     assert (learned.label, learned.limit, learned.n_scans) == ("learned", 0.6, 2)
     assert results.pose_generalisation[1].limit is None
     assert results.shape_generalisation[0].n_subjects == 6
-    assert told[-1] == ("pose and shape free", 6, 6) and ("pose only", 8, 8) in told
+    assert told[-1] == ("pose and shape free", 6, 6) and ("pose only", 10, 10) in told
     assert any("full pose space" in note for note in results.notes)
     assert results.to_json()["pose_generalisation"][0]["limit"] == 0.6
