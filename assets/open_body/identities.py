@@ -24,20 +24,19 @@ _CENTRES = {"age": 0.72, "muscle": 0.6, "proportions": 0.5, "cupsize": 0.5, "fir
 # Local changes and their standard deviation; a name without side is given to both sides alike.
 _CHANGES = {
     "hand-scale-incr": 0.10, "hand-fingers-length-incr": 0.20, "hand-fingers-diameter-incr": 0.5,
-    "hand-fingers-distance-incr": 0.3, "measure-wrist-circ-incr": 0.3, "measure-upperarm-length-incr": 0.12,
-    "measure-lowerarm-length-incr": 0.12, "measure-upperarm-circ-incr": 0.15, "lowerarm-fat-incr": 0.25,
-    "upperarm-muscle-incr": 0.25, "measure-upperleg-height-incr": 0.12, "measure-lowerleg-height-incr": 0.12,
+    "hand-fingers-distance-incr": 0.3, "measure-wrist-circ-incr": 0.3,
+    "measure-upperarm-length-incr": 0.12, "measure-lowerarm-length-incr": 0.12,
+    "measure-upperarm-circ-incr": 0.15, "lowerarm-fat-incr": 0.25, "upperarm-muscle-incr": 0.25,
+    "measure-upperleg-height-incr": 0.12, "measure-lowerleg-height-incr": 0.12,
     "measure-thigh-circ-incr": 0.15, "measure-calf-circ-incr": 0.2, "foot-scale-incr": 0.1,
     "measure-shoulder-dist-incr": 0.15, "measure-hips-circ-incr": 0.2, "measure-waist-circ-incr": 0.2,
     "measure-bust-circ-incr": 0.15, "torso-scale-depth-incr": 0.2, "torso-vshape-incr": 0.25,
     "buttocks-volume-incr": 0.25, "stomach-tone-incr": 0.3, "measure-napetowaist-dist-incr": 0.12,
     "measure-neck-circ-incr": 0.25, "measure-neck-height-incr": 0.2, "head-scale-vert-incr": 0.2,
     "head-scale-depth-incr": 0.2, "head-scale-horiz-incr": 0.2, "head-fat-incr": 0.25,
-    "forehead-scale-vert-incr": 0.25,
-    "nose-scale-vert-incr": 0.3, "nose-scale-horiz-incr": 0.3, "nose-scale-depth-incr": 0.3,
-    "nose-hump-incr": 0.3,
-    "nose-point-up": 0.3, "mouth-scale-horiz-incr": 0.3, "mouth-trans-up": 0.25,
-    "mouth-upperlip-volume-incr": 0.3,
+    "forehead-scale-vert-incr": 0.25, "nose-scale-vert-incr": 0.3, "nose-scale-horiz-incr": 0.3,
+    "nose-scale-depth-incr": 0.3, "nose-hump-incr": 0.3, "nose-point-up": 0.3,
+    "mouth-scale-horiz-incr": 0.3, "mouth-trans-up": 0.25, "mouth-upperlip-volume-incr": 0.3,
     "mouth-lowerlip-volume-incr": 0.3, "chin-width-incr": 0.3, "chin-height-incr": 0.25,
     "chin-prominent-incr": 0.25, "eye-scale-incr": 0.2, "eye-trans-out": 0.2, "eyebrows-trans-up": 0.3,
     "cheek-bones-incr": 0.3, "cheek-volume-incr": 0.3, "ear-scale-incr": 0.3, "ear-wing-incr": 0.3,
@@ -45,12 +44,10 @@ _CHANGES = {
 # The generator's heaviest adults have a body mass index of 25: beyond it these go with the dial.
 _STOUT = (
     "measure-waist-circ-incr", "measure-hips-circ-incr", "measure-bust-circ-incr",
-    "measure-underbust-circ-incr",
-    "measure-thigh-circ-incr", "measure-calf-circ-incr", "measure-upperarm-circ-incr",
-    "measure-neck-circ-incr",
-    "upperleg-fat-incr", "lowerleg-fat-incr", "upperarm-fat-incr", "lowerarm-fat-incr",
-    "buttocks-volume-incr",
-    "torso-scale-depth-incr", "head-fat-incr", "neck-double-incr",
+    "measure-underbust-circ-incr", "measure-thigh-circ-incr", "measure-calf-circ-incr",
+    "measure-upperarm-circ-incr", "measure-neck-circ-incr", "upperleg-fat-incr", "lowerleg-fat-incr",
+    "upperarm-fat-incr", "lowerarm-fat-incr", "buttocks-volume-incr", "torso-scale-depth-incr",
+    "head-fat-incr", "neck-double-incr",
 )  # fmt: skip
 _STOUT_FROM, _STOUT_RATE, _HEAVIEST = 0.7, 0.55, 2.2
 # The jaw is a joint of the model: units that open or shift it would say the same twice.
