@@ -186,7 +186,10 @@ def described(learned: LearnedModel, start: SurfaceModel, call: LearnCall) -> Su
 def _shape_words(start_weight: float) -> str:
     if start_weight == 0:
         return "of the personal templates"
-    return f"covariance of the personal templates plus {start_weight:g} times the start model's"
+    return (
+        f"covariance of the personal templates plus, across its first component, {start_weight:g} times the "
+        "start model's"
+    )
 
 
 def result_of(learned: LearnedModel, seconds: float) -> dict[str, Any]:

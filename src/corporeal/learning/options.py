@@ -32,10 +32,10 @@ class LearningOptions:
             axis about which alone it turns.
         first_passes: over joints, poses and nearly rigid parts, before there are templates.
         shape_count: most shape directions.
-        start_shape_weight: of the start model's shape covariance, added to that of the learned people; 0 is
-            theirs alone. Thirty people do not span those that a model will meet: on two real hands the model
-            of 31 simulated people alone was 1.4 and 2.4 mm off, with a weight of one 1.0 and 1.7, and with
-            the mean of both covariances (refused) 1.1 and 1.8.
+        start_shape_weight: of the start model's shape covariance, added to that of the learned people across
+            their first component, the size; 0 is theirs alone. Thirty people do not span those that a model
+            will meet: on two real hands the model of 31 simulated people alone was 1.4 and 2.4 mm off, with
+            a weight of one 1.0 and 1.7, and with the mean of both covariances (refused) 1.1 and 1.8.
         mixture_components: of the pose mixture.
         trim: registrations that lie farther from the learned model than the median by so many median
             deviations are left out after the first sweeps; infinite keeps all.
