@@ -60,6 +60,10 @@ assets: $(VENV)/.demo
 	.venv-assets/bin/$(PIP_INSTALL) -e '.[assets]'
 	.venv-assets/bin/python assets/build.py
 	$(BIN)/python assets/calibrate_detector.py --hand $(MODELS)/start_hand.npz
+	.venv-assets/bin/python assets/build_body.py --out build/body
+	$(BIN)/corporeal merge build/body/body.npz hand --name body --hand-pose full --most-joints 4 -o $(MODELS)/body.npz \
+		--precision float16
+	cp build/body/body_sexes.npz $(MODELS)/
 	.venv-assets/bin/python assets/demo/build_scan.py
 	.venv-assets/bin/python assets/hand_simulator/build.py
 

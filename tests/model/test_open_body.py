@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from corporeal.geometry.topology import boundary_loops, connected_components, is_edge_manifold, signed_volume
+from corporeal.learning.personal import personal_model
 from corporeal.model.files import ModelFileError, open_model
 from corporeal.model.formats.families import FAMILIES
 from corporeal.model.jacobian import evaluate
@@ -86,7 +87,7 @@ def test_zero_pose_is_the_t_pose(body, joints):
     assert nose[2] > place["head"][2] + 0.08, "looks along +z"
 
 
-def test_hands_are_the_open_hand(body, hand, hand_vertices, joints):
+def test_hands_have_the_open_hands_surface(body, hand, hand_vertices, joints):
     wrist = joints[21]
     own = body.template[hand_vertices] - wrist
     beyond = hand.template[:, 0] < -0.008
@@ -95,26 +96,23 @@ def test_hands_are_the_open_hand(body, hand, hand_vertices, joints):
     # Behind, the hand's stump becomes the body's forearm: 4 mm apart up to the hand's wrist plane.
     wrist_plane = (hand.template[:, 0] >= -0.008) & (hand.template[:, 0] < 0.010)
     assert np.linalg.norm(own - hand.template, axis=1)[wrist_plane].max() < 4e-3
-    right = HAND_JOINTS["right"]
-    assert np.abs(joints[right] - wrist - hand.joint_regressor @ hand.template).max() < 1e-5
-    assert (
-        np.abs(body.skinning_weights[hand_vertices][:, right[1:]] - hand.skinning_weights[:, 1:]).max() < 1e-4
-    )
-    assert np.array_equal(body.pose_directions[hand_vertices][:, :, 351:], hand.pose_directions)
     numbered = np.full(body.vertex_count, -1)
     numbered[hand_vertices] = np.arange(len(hand_vertices))
     faces = numbered[body.faces]
     assert np.array_equal(faces[(faces >= 0).all(1)], hand.faces)
 
 
-def test_bent_fingers_are_the_open_hands(body, hand, hand_vertices, joints, rng):
+def test_bent_fingers_are_the_learned_hands(body, hand, hand_vertices, joints, rng):
+    """Around the body's own template; the fade of its correctives ends 40 mm behind the seam."""
+    hand = personal_model(open_model("hand"), hand.template)
     turns = 0.4 * rng.normal(size=(15, 3))
     pose, hand_pose = np.zeros((55, 3)), np.zeros((16, 3))
     pose[40:], hand_pose[1:] = turns, turns
     ours = evaluate(body, np.zeros(0), pose, np.zeros(3)).vertices[hand_vertices] - joints[21]
     theirs = evaluate(hand, np.zeros(0), hand_pose, np.zeros(3)).vertices
-    beyond = hand.template[:, 0] < -0.012
-    assert np.linalg.norm(ours - theirs, axis=1)[beyond].max() < 1e-4
+    beyond = hand.template[:, 0] < -0.03
+    assert beyond.mean() > 0.8
+    assert np.linalg.norm(ours - theirs, axis=1)[beyond].max() < 2e-4
 
 
 def test_weights_and_regressor_are_sparse_and_sum_to_one(body):
@@ -124,7 +122,7 @@ def test_weights_and_regressor_are_sparse_and_sum_to_one(body):
     rows = body.joint_regressor.toarray()
     assert rows.min() >= 0 and np.abs(rows.sum(axis=1) - 1).max() < 1e-12
     assert (rows > 0).sum(axis=1).max() < 200
-    assert (body.pose_directions != 0).mean() < 0.02
+    assert (body.pose_directions != 0).mean() < 0.1
 
 
 def test_body_is_its_own_mirror_image(body, joints):

@@ -66,7 +66,7 @@ def test_zero_pose_is_flat_with_fingers_along_minus_x_and_thumb_forward(hand):
         bones = np.diff(chain, axis=0)
         bones /= np.linalg.norm(bones, axis=1, keepdims=True)
         # Learned joints lie within two millimetres of a finger's axis, on phalanges of 25 mm and more.
-        assert (bones @ bones.T).min() > np.cos(np.deg2rad(15)), "a finger is not straight"
+        assert (bones @ bones.T).min() > np.cos(np.deg2rad(18)), "a finger is not straight"
         assert bones[0, 0] < -0.85, "a finger does not point along -x"
         assert abs(bones[0, 1]) < 0.05, "a finger leaves the plane of the palm"
     assert joints[1, 2] > joints[4, 2] > joints[10, 2] > joints[7, 2], "index to little from +z to -z"

@@ -98,6 +98,7 @@ class Merge:
             needed for bodies without fingers and where the two meshes differ.
         hand_pose: pca, or full: all components are kept.
         hand_components: of each hand's pose space that are kept with pca.
+        most_joints: that move one vertex; renderers take four. All are kept if not given.
         seam_width: millimetres behind the seam over which the hand is faded in.
         seam_poses: random poses in which the seam is measured.
         name: of the model.
@@ -113,6 +114,7 @@ class Merge:
     vertices: Path | None = None
     hand_pose: Literal["pca", "full"] = "pca"
     hand_components: int = 6
+    most_joints: int | None = None
     seam_width: float = 20.0
     seam_poses: int = 200
     name: str | None = None

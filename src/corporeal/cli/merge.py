@@ -33,6 +33,7 @@ def run(config: Merge) -> int:
     other = None if config.other_hand is None else _model(config.other_hand)
     options = MergeOptions(
         hand_components=None if config.hand_pose == "full" else config.hand_components,
+        most_joints=config.most_joints,
         seam_width=1e-3 * config.seam_width,
     )
     try:
@@ -95,6 +96,8 @@ def _check_call(config: Merge) -> None:
             raise CommandError(f"merge: {config.output} is a source itself; name another file", 2)
     if config.hand_components < 1:
         raise CommandError(f"--hand-components {config.hand_components}: expected 1 or more", 2)
+    if config.most_joints is not None and config.most_joints < 1:
+        raise CommandError(f"--most-joints {config.most_joints}: expected 1 or more", 2)
     if not (np.isfinite(config.seam_width) and config.seam_width >= 0):
         raise CommandError(f"--seam-width {config.seam_width}: expected millimetres, 0 or more", 2)
     if config.seam_poses < 1:

@@ -114,6 +114,15 @@ def test_the_paper_s_degrees_of_freedom(merged, arms, hand):
     assert degrees_of_freedom(full) == 66 + 90
 
 
+def test_fewer_joints_a_vertex_on_request(merged, arms, hand, rng):
+    assert (merged.model.skinning_weights > 0).sum(axis=1).max() > 3
+    few = merge_hands(arms, hand, options=MergeOptions(most_joints=3)).model
+    assert (few.skinning_weights > 0).sum(axis=1).max() == 3
+    np.testing.assert_allclose(few.skinning_weights.sum(axis=1), 1, atol=1e-12)
+    pose = _random_pose(arms, rng, 0.3)
+    assert 1e3 * np.linalg.norm(_vertices(few, pose) - _vertices(merged.model, pose), axis=1).mean() < 0.3
+
+
 def test_landmarks_come_along(merged, hand):
     sets = merged.model.landmarks
     name = "hand_21_mediapipe"

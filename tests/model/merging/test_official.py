@@ -163,6 +163,7 @@ def test_the_command(pair, tmp_path, capsys):
         (lambda a, tmp: [*a[:3], a[0]], "is a source itself"),
         (lambda a, tmp: [*a, "--seam-width", "-1"], "--seam-width"),
         (lambda a, tmp: [*a, "--hand-components", "0"], "--hand-components"),
+        (lambda a, tmp: [*a, "--most-joints", "0"], "--most-joints"),
         (lambda a, tmp: [*a[:5], a[0]], "holds no 'left_hand'"),
         (lambda a, tmp: [*a[:5], str(tmp / "none.npz")], "none.npz"),
         (lambda a, tmp: [str(tmp / "none.pkl"), *a[1:]], "none.pkl"),

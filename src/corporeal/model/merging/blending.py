@@ -109,3 +109,13 @@ def body_arrays(
         stored = body.pose_directions.reshape(V, 3, -1, 9)
         directions[:, :, tree.of_body[kept] - 1] = stored[:, :, kept - 1]
     return weights, directions.reshape(V, 3, 9 * (K - 1))
+
+
+def strongest_weights(weights: Float[np.ndarray, "V K"], most: int) -> Float[np.ndarray, "V K"]:
+    """The strongest of every vertex, made to sum to one again."""
+    if most >= weights.shape[1]:
+        return weights
+    weakest = np.argpartition(-weights, most - 1, axis=1)[:, most:]
+    kept = weights.copy()
+    np.put_along_axis(kept, weakest, 0.0, axis=1)
+    return kept / kept.sum(axis=1, keepdims=True)

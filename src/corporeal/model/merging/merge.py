@@ -21,6 +21,7 @@ from corporeal.model.merging.blending import (
     merged_directions,
     merged_regressor,
     merged_weights,
+    strongest_weights,
 )
 from corporeal.model.merging.errors import MergeError
 from corporeal.model.merging.placement import HandPlacement, found_placement, given_placement
@@ -38,12 +39,15 @@ class MergeOptions:
     Attributes:
         hand_components: of each hand's pose space that the model keeps: 6 are the paper's, 66 + 2 * 6 = 78
             degrees of freedom with the body; None keeps all. Full poses can be given in any case.
+        most_joints: that move one vertex; the strongest stay. Renderers take four. None keeps all: where hand
+            and forearm fade into one another a vertex may have joints of both.
         seam_width: metres behind the seam over which the hand's weights are faded in; its correctives over
             twice as much. Learned ones still move the wrist by 2 mm in poses far from the mean, and over 20
             mm alone that is 1.2 mm from one vertex to the next.
     """
 
     hand_components: int | None = 6
+    most_joints: int | None = None
     seam_width: float = 0.02
 
 
@@ -95,7 +99,7 @@ def merge_hands(
             merged_directions(hands[side], placements[side], tree, side, slower, directions)
     model = body.replace(
         joint_regressor=merged_regressor(body, hands, placements, tree),
-        skinning_weights=weights,
+        skinning_weights=strongest_weights(weights, options.most_joints or len(tree.names)),
         pose_directions=directions,
         parents=tree.parents.astype(body.parents.dtype),
         joint_names=tree.names,
@@ -207,7 +211,8 @@ def _landmarks(
             own, at = landmarks.weights[:, : hand.vertex_count], landmarks.weights[:, hand.vertex_count :]
             weights = sp.hstack([own @ placement.from_body, at @ places]).tocsr()
             names = tuple(f"{side}_{landmark}" for landmark in landmarks.names)
-            found[f"{side}_{name}"] = LandmarkSet(names, weights, V)
+            # What the body already has under that name is what its users know.
+            found.setdefault(f"{side}_{name}", LandmarkSet(names, weights, V))
     return found
 
 
