@@ -58,19 +58,32 @@ def test_joints_are_manos(hand):
     assert hand.parents.tolist() == [-1, 0, 1, 2, 0, 4, 5, 0, 7, 8, 0, 10, 11, 0, 13, 14]
 
 
-def test_zero_pose_is_flat_with_fingers_along_minus_x_and_thumb_forward(hand):
+def _chain(hand, first, tip):
+    """Joints of a finger and its tip at the zero pose."""
     joints = hand.joint_regressor @ hand.template
     tips = hand.landmarks["hand_21_mediapipe"].positions(hand.template, joints)
+    return np.vstack([joints[first : first + 3], tips[tip]])
+
+
+def _directions(points):
+    bones = np.diff(points, axis=0)
+    return bones / np.linalg.norm(bones, axis=1, keepdims=True)
+
+
+# Learned joints lie up to 4.4 mm off the line from knuckle to tip (the little finger's last one), and a
+# phalanx is 15 mm and more: docs/model_card.md. Built ones lie on it.
+@pytest.mark.parametrize(("name", "degrees"), [("start_hand", 0.5), ("hand", 15.0)])
+def test_zero_pose_is_flat_with_fingers_along_minus_x_and_thumb_forward(name, degrees):
+    hand = open_model(name)
     for first, tip in ((1, 8), (4, 12), (10, 16), (7, 20)):
-        chain = np.vstack([joints[first : first + 3], tips[tip]])
-        bones = np.diff(chain, axis=0)
-        bones /= np.linalg.norm(bones, axis=1, keepdims=True)
-        # Learned joints lie within two millimetres of a finger's axis, on phalanges of 25 mm and more.
-        assert (bones @ bones.T).min() > np.cos(np.deg2rad(18)), "a finger is not straight"
-        assert bones[0, 0] < -0.85, "a finger does not point along -x"
-        assert abs(bones[0, 1]) < 0.05, "a finger leaves the plane of the palm"
+        chain = _chain(hand, first, tip)
+        (line,) = _directions(chain[[0, -1]])
+        assert (_directions(chain) @ line).min() > np.cos(np.deg2rad(degrees)), "a finger is not straight"
+        assert line[0] < -0.85, "a finger does not point along -x"
+        assert abs(line[1]) < 0.1, "a finger leaves the plane of the palm"
+    joints = hand.joint_regressor @ hand.template
     assert joints[1, 2] > joints[4, 2] > joints[10, 2] > joints[7, 2], "index to little from +z to -z"
-    assert tips[4, 2] - joints[0, 2] > 0.04, "thumb forward"
+    assert _chain(hand, 13, 4)[-1, 2] - joints[0, 2] > 0.04, "thumb forward"
 
 
 def test_palm_is_down_and_faces_look_outward(hand):
