@@ -1,6 +1,6 @@
 """What every term of the registration is worth, on a part of a simulated session.
 
-    python benchmarks/registration_ablation.py SESSION REG [--scans 200] [--workers 2] [--json FILE]
+    python benchmarks/registration_ablation.py SESSION REG [--scans 200] [--workers 2] [--model start_hand] [--json FILE]
 
 REG holds the session's registrations (``corporeal register SESSION -o REG``): the landmarks found there and
 the priors of its accepted poses are used here, so that the variants differ in nothing but the term left out.
@@ -126,9 +126,10 @@ def main() -> None:
     parser.add_argument("--scans", type=int, default=200)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--model", default="start_hand", help="the one that REG was registered with")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
-    model = open_model("hand")
+    model = open_model(options.model)
     scans = chosen_scans(options.session, options.scans, options.seed)
     known = {record.name: record for record in read_records(options.registrations)}
     priors = pose_priors(accepted_poses(list(known.values())), "right")
@@ -146,7 +147,7 @@ def main() -> None:
                 scan.side,
                 round_number=2 if second else 1,
                 prior=priors.get(scan.protocol_pose or "") if second else None,
-                landmarks=known[scan.name].landmarks if scan.name in known else None,
+                landmarks=known[scan.name].known_landmarks("REG") if scan.name in known else None,
             )
             for scan in scans
         ]
