@@ -91,8 +91,13 @@ def _scan_content(path: Path) -> dict[str, Any]:
         scans = ", ".join(SCAN_SUFFIXES)
         raise CommandError(f"info: {path}: expected .npz or .pkl for a model, or {scans} for a scan")
 
+    from corporeal.scans.units import BODY_EXTENT, HAND_EXTENT
+
     try:
-        scan = read_scan(path)
+        try:
+            scan = read_scan(path, expected_extent=HAND_EXTENT)
+        except ScanFileError:
+            scan = read_scan(path, expected_extent=BODY_EXTENT)
     except ScanFileError as error:
         raise CommandError(f"info: {error}") from error
     return {

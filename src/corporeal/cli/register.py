@@ -6,6 +6,7 @@ import os
 import time
 import traceback
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,10 +29,10 @@ from corporeal.cli.session import SessionCall, run_session
 from corporeal.model.files import ModelFileError
 from corporeal.model.surface_model import SurfaceModel
 from corporeal.registration.evidence import LandmarkFinder
-from corporeal.registration.options import RegistrationOptions
 from corporeal.registration.register import register
 from corporeal.registration.registration import FailedRegistration
 from corporeal.registration.rows import failed_row, registered_row
+from corporeal.registration.subjects import subject_of
 from corporeal.scans.files import ScanFileError, read_scan
 from corporeal.scans.scan import Scan
 from corporeal.scans.segmentation import remove_object
@@ -83,7 +84,8 @@ def _one(
     try:
         remove_outputs(folder)
         on_step(f"{path.name}: reading")
-        scan = read_scan(path, unit=config.unit)
+        subject = subject_of(model)
+        scan = read_scan(path, unit=config.unit, expected_extent=subject.extent)
         if config.green_objects:
             scan = _without_object(scan)
         on_step(f"{path.name}: landmarks")
@@ -93,7 +95,8 @@ def _one(
         marked = time.perf_counter()
         result = register(
             scan, model, evidence, None if config.side == "auto" else config.side,
-            RegistrationOptions(correctives=config.correctives), lambda step: on_step(f"{path.name}: {step}"),
+            replace(subject.options(), correctives=config.correctives),
+            lambda step: on_step(f"{path.name}: {step}"),
         )  # fmt: skip
         seconds["fit"] = time.perf_counter() - marked
         if isinstance(result, FailedRegistration):

@@ -13,25 +13,28 @@ from corporeal.export.meshes import write_ply
 from corporeal.export.overview import Overview, write_overview
 from corporeal.registration.files import save_registration
 from corporeal.registration.registration import Registration
+from corporeal.registration.subjects import BODY, HAND, subject_of
 
-_OUTPUTS = ("registration.npz", "registration.ply", "model.ply", "hand.glb", "overview.png")
+_OUTPUTS = ("registration.npz", "registration.ply", "model.ply", "overview.png")
+_GLB = {subject.name: f"{subject.name}.glb" for subject in (HAND, BODY)}
 
 
 def remove_outputs(folder: Path) -> None:
     """Drop what an earlier run left: a scan that fails now must not show an old result beside its report."""
-    for name in _OUTPUTS:
+    for name in (*_OUTPUTS, *_GLB.values()):
         (folder / name).unlink(missing_ok=True)
 
 
 def write_outputs(result: Registration, folder: Path, row: dict[str, Any]) -> dict[str, str]:
     """Write the results of one scan; metres in the .npz and the GLB, the scan's own unit in the PLYs."""
-    paths = {name: folder / name for name in _OUTPUTS}
+    glb = _GLB[subject_of(result.model).name]
+    paths = {name: folder / name for name in (*_OUTPUTS[:3], glb, *_OUTPUTS[3:])}
     save_registration(result, paths["registration.npz"])
     scan, faces, parameters = result.scan, result.model.faces, result.parameters
     write_ply(paths["registration.ply"], scan.in_own_unit(result.vertices), faces)
     write_ply(paths["model.ply"], scan.in_own_unit(result.model_vertices), faces)
     write_glb(
-        paths["hand.glb"], result.model, parameters.shape, parameters.pose, parameters.translation,
+        paths[glb], result.model, parameters.shape, parameters.pose, parameters.translation,
         correctives=result.correctives,
     )  # fmt: skip
     overview = Overview(
@@ -43,6 +46,7 @@ def write_outputs(result: Registration, folder: Path, row: dict[str, Any]) -> di
         faces=faces,
         point_errors_mm=np.where(result.distances.scored, 1e3 * result.distances.metres, np.nan),
         views=_views(result),
+        view_names=("front", "side") if subject_of(result.model) is BODY else ("palm", "back"),
         title=_title(row),
     )
     write_overview(paths["overview.png"], overview)
@@ -51,17 +55,21 @@ def write_outputs(result: Registration, folder: Path, row: dict[str, Any]) -> di
 
 def _title(row: dict[str, Any]) -> tuple[str, ...]:
     registration, model = row["s2m_mm"], row["model_s2m_mm"]
+    subject = "body" if row["side"] is None else f"{row['side']} hand"
     return (
-        f"{Path(row['scan']).name}: {row['status']}, {row['side']} hand",
+        f"{Path(row['scan']).name}: {row['status']}, {subject}",
         f"scan to registration: mean {registration['mean']:.2f} mm, 95 % under {registration['p95']:.2f} mm; "
         f"scan to model alone: mean {model['mean']:.2f} mm",
     )
 
 
 def _views(result: Registration) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-    """Palm and back of the hand as (view direction, up) in the scan's frame; the fingers point up."""
+    """Two views as (view direction, up) in the scan's frame: front and side, or palm and back of a hand."""
     model, root = result.model, result.parameters.pose[0]
     R_world_root = Rotation.from_rotvec(root).as_matrix()
+    if subject_of(model) is BODY:
+        front, left, up = R_world_root @ [0, 0, 1.0], R_world_root @ [1.0, 0, 0], R_world_root @ [0, 1.0, 0]
+        return ((-front, up), (-left, up))
     along = model.template.mean(0) - np.asarray(model.joint_regressor @ model.template)[0]
     fingers = R_world_root @ (along / np.linalg.norm(along))
     down = R_world_root @ np.array([0.0, -1.0, 0.0])

@@ -20,7 +20,6 @@ from corporeal.cli.files import check_result, write_result
 from corporeal.cli.registration_outputs import write_outputs
 from corporeal.model.files import ModelFileError, save_model
 from corporeal.model.surface_model import Side, SurfaceModel
-from corporeal.registration.options import RegistrationOptions
 from corporeal.registration.registration import Registration
 from corporeal.registration.session.cluster import DaskMissingError, run_dask
 from corporeal.registration.session.files import MODEL, SessionFolderError, read_landmarks
@@ -30,6 +29,7 @@ from corporeal.registration.session.pool import run_local
 from corporeal.registration.session.records import RecordError
 from corporeal.registration.session.run import SessionPlan, Watcher, register_session
 from corporeal.registration.session.tasks import RegistrationSetup
+from corporeal.registration.subjects import subject_of
 from corporeal.scans.files import SCAN_SUFFIXES
 from corporeal.scans.formats.session import CaptureSession, SessionFileError, read_session
 from corporeal.scans.units import UnitChoice
@@ -111,7 +111,7 @@ def _keep_model(path: Path, model: SurfaceModel) -> None:
 
 
 def _plan(call: SessionCall, model: SurfaceModel, session: CaptureSession, watcher: Watcher) -> SessionPlan:
-    options = dataclasses.replace(RegistrationOptions.for_sessions(), correctives=call.correctives)
+    options = dataclasses.replace(subject_of(model).session_options(), correctives=call.correctives)
     unit = session.unit if call.unit == "auto" else call.unit
     setup = RegistrationSetup(
         model=model,

@@ -19,7 +19,7 @@ from corporeal.registration.session.files import MANIFEST, MODEL, read_json_file
 from corporeal.registration.session.records import SessionRecord
 from corporeal.scans.files import read_scan
 from corporeal.scans.scan import Scan
-from corporeal.scans.units import UnitChoice
+from corporeal.scans.units import ANY_EXTENT, HAND_EXTENT, UnitChoice
 from corporeal.view.curation import ScanDisplay
 
 _DISPLAYED_POINTS, _THUMBNAIL_POINTS = 30_000, 8_000
@@ -60,7 +60,7 @@ def scan_of(record: SessionRecord, session: Path | None) -> Scan:
         candidates = (session / path.name, session / "scans" / path.name)
         path = next((candidate for candidate in candidates if candidate.exists()), path)
     unit: UnitChoice = row.get("unit") or "auto"
-    scan = read_scan(path, unit=unit)
+    scan = read_scan(path, unit, HAND_EXTENT if unit == "auto" else ANY_EXTENT)
     if unit == "free" and row.get("metres_per_unit"):
         scan = scan.with_scale(row["metres_per_unit"])
     return scan

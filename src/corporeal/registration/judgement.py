@@ -91,6 +91,28 @@ class Bounds:
             landmark_p90_mm=(30.0, 100.0),
         )
 
+    @classmethod
+    def for_bodies(cls) -> Bounds:
+        """For people: ten times as large, seen by coarser scanners, in hair and clothes that no model has.
+
+        What was not seen has no second bound: of a head or a bust the rest of the body is guessed, which is
+        said (``doubtful``), and is no failure.
+        """
+        return cls(
+            s2m_mean_mm=(3.0, 12.0),
+            s2m_p95_mm=(10.0, 50.0),
+            misfit_rms_mm=(4.0, 25.0),
+            misfit_share=(0.35, 0.9),
+            model_s2m_mean_mm=(10.0, 30.0),
+            far_share=(0.15, 0.5),
+            hole_share=(0.5, 1.0),
+            free_mean_mm=(10.0, 30.0),
+            free_p99_mm=(40.0, 150.0),
+            penetration_mm=(20.0, 80.0),
+            landmark_median_mm=(40.0, 150.0),
+            landmark_p90_mm=(100.0, 400.0),
+        )
+
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             if name == "together":

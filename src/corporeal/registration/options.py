@@ -139,6 +139,32 @@ class RegistrationOptions:
     second_starts: int = 1
 
     @classmethod
+    def for_bodies(cls) -> RegistrationOptions:
+        """A body is ten times as long as a hand, its clothes and hair are none of it, and limbs hang freely.
+
+        Distances are in thirds of a hand's; no second start, whose limbs would be legs and a trunk.
+        """
+        usual = cls()
+        surface = (
+            replace(usual.surface[0], points=3000, sigma=8e-3, robust_scale=60e-3, landmark_sigma=10e-3),
+            replace(usual.surface[1], points=5000, sigma=4e-3, robust_scale=30e-3, landmark_sigma=20e-3),
+            replace(usual.surface[2], points=10_000, sigma=2e-3, robust_scale=12e-3, landmark_sigma=60e-3),
+        )
+        free = (
+            replace(usual.free[0], points=12_000, sigma=2e-3, robust_scale=10e-3, iterations=4),
+            replace(usual.free[1], points=24_000, sigma=1e-3, robust_scale=6e-3, iterations=4),
+        )
+        return replace(
+            usual,
+            landmarks=LandmarkStage(sigma=10e-3),
+            trusting_landmarks=LandmarkStage(sigma=10e-3, robust_scale=20.0, pose_prior_scale=2.0),
+            surface=surface,
+            free=free,
+            bounds=Bounds.for_bodies(),
+            second_starts=0,
+        )
+
+    @classmethod
     def for_sessions(cls) -> RegistrationOptions:
         """Fewer points and steps, sharper bounds: for sessions of thousands of scans of one scanner.
 

@@ -1,11 +1,11 @@
-"""The 2D hand detector: mediapipe, an optional extra, behind one small class."""
+"""The 2D hand detector: mediapipe, an optional extra, behind small classes."""
 
 from __future__ import annotations
 
 import os
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -43,6 +43,46 @@ class DetectedHand:
     confidence: float
 
 
+class Network:
+    """One of mediapipe's solutions, kept from writing to the terminal; close it when done."""
+
+    def __init__(self, make: Callable[[], Any]) -> None:
+        """Load it.
+
+        Args:
+            make: imports and builds the solution.
+
+        Raises:
+            DetectorMissingError: mediapipe is not installed.
+        """
+        with _silence():
+            try:
+                self._solution: Any = make()
+            except ImportError as error:
+                sentence = 'the detector is not installed (pip install "corporeal[detect]")'
+                if not (error.name or "").startswith("mediapipe"):
+                    sentence = f"the detector cannot be loaded: {error}"
+                raise DetectorMissingError(sentence) from error
+            # The landmark network logs once more when it meets its first subject.
+            self._has_spoken = False
+            # Its threads go on loading, and logging, until the first picture is through.
+            self._solution.process(np.zeros((192, 192, 3), np.uint8))
+
+    def __call__(self, picture: UInt8[np.ndarray, "H W 3"]) -> Any:
+        """What the solution answers to an RGB picture."""
+        with _no_warnings() if self._has_spoken else _silence():
+            return self._solution.process(picture)
+
+    def has_found(self) -> None:
+        """To be told of the first find: after it nothing more is logged."""
+        self._has_spoken = True
+
+    def close(self) -> None:
+        """Let go of it."""
+        with _silence():
+            self._solution.close()
+
+
 class HandDetector:
     """Finds at most one hand in a picture; use it in a ``with`` block."""
 
@@ -52,36 +92,26 @@ class HandDetector:
         Raises:
             DetectorMissingError: mediapipe is not installed.
         """
-        with _silence():
-            try:
-                from mediapipe.python.solutions.hands import Hands
-            except ImportError as error:
-                sentence = 'the hand detector is not installed (pip install "corporeal[detect]")'
-                if not (error.name or "").startswith("mediapipe"):
-                    sentence = f"the hand detector cannot be loaded: {error}"
-                raise DetectorMissingError(sentence) from error
-            self._hands: Any = Hands(
-                static_image_mode=True, max_num_hands=1, min_detection_confidence=minimum_confidence
-            )
-            # The landmark network logs once more when it meets its first hand.
-            self._has_spoken = False
-            # Its threads go on loading, and logging, until the first picture is through.
-            self._hands.process(np.zeros((192, 192, 3), np.uint8))
+
+        def make() -> Any:
+            from mediapipe.python.solutions.hands import Hands
+
+            return Hands(static_image_mode=True, max_num_hands=1, min_detection_confidence=minimum_confidence)
+
+        self._network = Network(make)
 
     def __enter__(self) -> HandDetector:
         return self
 
     def __exit__(self, *_: object) -> None:
-        with _silence():
-            self._hands.close()
+        self._network.close()
 
     def detect(self, picture: UInt8[np.ndarray, "H W 3"]) -> DetectedHand | None:
         """The hand in an RGB picture, or None."""
-        with _no_warnings() if self._has_spoken else _silence():
-            result = self._hands.process(picture)
+        result = self._network(picture)
         if not result.multi_hand_landmarks:
             return None
-        self._has_spoken = True
+        self._network.has_found()
         marks = result.multi_hand_landmarks[0].landmark
         label = result.multi_handedness[0].classification[0]
         height, width = picture.shape[:2]

@@ -17,6 +17,12 @@ METRES_PER_UNIT: dict[UnitName, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 HAND_EXTENT: Extent = (0.08, 0.9)
 """Metres: diagonal of the box about an adult's hand, from a part of a fist to a hand with its forearm."""
 
+BODY_EXTENT: Extent = (0.25, 2.8)
+"""The same for a person, from a head or a bust to a tall one with the arms stretched out."""
+
+ANY_EXTENT: Extent = (1e-3, 1e3)
+"""For files whose unit is known already: nothing is asked of their size."""
+
 
 _TOLD_MARGIN = 1.5
 """A unit that the user names is believed this far beyond the expected size: less than a wrong one errs."""

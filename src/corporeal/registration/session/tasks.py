@@ -24,6 +24,7 @@ from corporeal.registration.rows import failed_row, registered_row
 from corporeal.registration.session.files import sha256_of
 from corporeal.registration.session.jobs import ScanJob, WorkerError
 from corporeal.registration.session.records import FoundLandmarks, KnownLandmarks, SessionRecord
+from corporeal.registration.subjects import subject_of
 from corporeal.scans.files import ScanFileError, read_scan
 from corporeal.scans.scan import Scan
 from corporeal.scans.segmentation import remove_object
@@ -101,7 +102,8 @@ class ScanWorker:
 
     def _registered(self, job: ScanJob, sha256: str | None, seconds: dict[str, float]) -> SessionRecord:
         setup = self._setup
-        scan = read_scan(job.path, unit=setup.unit)
+        extent = subject_of(setup.model).extent
+        scan = read_scan(job.path, unit=setup.unit, expected_extent=extent)
         if setup.green_objects:
             try:
                 scan = remove_object(scan)
