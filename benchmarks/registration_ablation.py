@@ -1,6 +1,6 @@
 """What every term of the registration is worth, on a part of a simulated session.
 
-    python benchmarks/registration_ablation.py SESSION REG [--scans 200] [--workers 2] [--model start_hand] [--json FILE]
+    python benchmarks/registration_ablation.py SESSION REG [--scans 200] [--workers 2] [--json FILE]
 
 REG holds the session's registrations (``corporeal register SESSION -o REG``): the landmarks found there and
 the priors of its accepted poses are used here, so that the variants differ in nothing but the term left out.

@@ -86,7 +86,7 @@ def t_pose(
     armpits), the right hand exactly as the open hand is, by ``hand_vertices`` and their own 16 weights; it
     is returned beside the body, in its own frame.
     """
-    turns, hand = _turns(stance, hand_vertices, hand_weights)
+    turns, hand = turns_to_t_pose(stance, hand_vertices, hand_weights)
     joints = np.zeros_like(stance.joints)
     for j in range(1, 55):
         parent = PARENTS[j]
@@ -111,7 +111,7 @@ def with_hands(
     return joined
 
 
-def _turns(
+def turns_to_t_pose(
     stance: Stance, hand_vertices: np.ndarray, hand_weights: np.ndarray
 ) -> tuple[np.ndarray, PosedHand]:
     """Rotation (55, 3, 3) of every joint into the T-pose, and the right hand in its own frame."""

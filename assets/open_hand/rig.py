@@ -56,16 +56,7 @@ def flattened(hand: PosedHand, weights: np.ndarray) -> PosedHand:
     Every finger keeps its natural spread: its bones are turned into the direction from knuckle to tip, laid
     into the plane. The thumb keeps its rest pose, beside the palm.
     """
-    target = np.tile(np.eye(3), (16, 1, 1))
-    for f, finger in enumerate(FINGERS):
-        if finger == "thumb":
-            continue
-        chain = np.vstack([hand.joints[3 * f + 1 : 3 * f + 4], hand.tips[f]])
-        direction = (chain[3] - chain[0]) * [1, 0, 1]
-        direction /= np.linalg.norm(direction)
-        for k in range(3):
-            bone = chain[k + 1] - chain[k]
-            target[3 * f + 1 + k] = _shortest_turn(bone / np.linalg.norm(bone), direction)
+    target = flattening_turns(hand)
     joints = np.zeros((16, 3))
     offsets = np.zeros((16, 3))
     for j in range(1, 16):
@@ -76,6 +67,21 @@ def flattened(hand: PosedHand, weights: np.ndarray) -> PosedHand:
     last = [3 * f + 3 for f in range(5)]
     tips = np.einsum("fab,fb->fa", target[last], hand.tips) + offsets[last]
     return PosedHand(moved, joints, tips)
+
+
+def flattening_turns(hand: PosedHand) -> np.ndarray:
+    """Rotation (16, 3, 3) in the hand's frame of every joint's bone to the flat hand."""
+    target = np.tile(np.eye(3), (16, 1, 1))
+    for f, finger in enumerate(FINGERS):
+        if finger == "thumb":
+            continue
+        chain = np.vstack([hand.joints[3 * f + 1 : 3 * f + 4], hand.tips[f]])
+        direction = (chain[3] - chain[0]) * [1, 0, 1]
+        direction /= np.linalg.norm(direction)
+        for k in range(3):
+            bone = chain[k + 1] - chain[k]
+            target[3 * f + 1 + k] = _shortest_turn(bone / np.linalg.norm(bone), direction)
+    return target
 
 
 def _shortest_turn(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -50,7 +50,7 @@ def test_what_breaks_the_format_is_refused_with_the_reason(tmp_path, content, wo
 
 
 def test_no_sequence_at_all_is_refused(tmp_path):
-    with pytest.raises(SequenceFileError, match="holds no sequence.json"):
+    with pytest.raises(SequenceFileError, match=r"holds no sequence\.json"):
         read_sequence(tmp_path, _SUFFIXES)
     (tmp_path / "sequence.json").write_text("{")
     with pytest.raises(SequenceFileError, match=r"sequence\.json"):

@@ -13,6 +13,8 @@ from corporeal.scans.formats.gltf import buffers_of_json, parse_glb, parse_gltf
 from corporeal.scans.formats.obj import parse_obj
 from corporeal.scans.formats.off import parse_off
 from corporeal.scans.formats.ply import parse_ply
+from corporeal.scans.formats.sequence import ScanSequence, SequenceFileError
+from corporeal.scans.formats.sequence import read_sequence as _listed_or_found
 from corporeal.scans.formats.stl import parse_stl
 from corporeal.scans.raw import RawScan
 from corporeal.scans.scan import Scan
@@ -70,6 +72,20 @@ def read_scan(path: str | Path, unit: UnitChoice = "auto", expected_extent: Exte
         source=path.name,
         repairs=(*cleaned.notes, *sentences),
     )
+
+
+def read_sequence(folder: str | Path) -> ScanSequence:
+    """Read which scans a folder holds one after the other: its ``sequence.json``, or all of its scan files.
+
+    The scans themselves are not opened: a frame that is missing or damaged costs no other.
+
+    Raises:
+        ScanFileError: the list cannot be read or breaks its format, or there is no scan at all.
+    """
+    try:
+        return _listed_or_found(Path(folder), SCAN_SUFFIXES)
+    except SequenceFileError as error:
+        raise ScanFileError(str(error)) from error
 
 
 def _parsed(path: Path) -> RawScan:

@@ -96,8 +96,7 @@ def _listed(folder: Path, content: Any) -> ScanSequence:
         raise ValueError(f'"fps": expected frames per second, got {fps!r}')
     if not isinstance(subject, str | None):
         raise ValueError('"subject" must be a text or null')
-    name = content.get("name", folder.name)
-    _check_name(name)
+    name = _checked_name(content.get("name", folder.name))
     entries = content.get("frames")
     if not isinstance(entries, list) or not entries:
         raise ValueError('expected a list "frames" with at least one entry')
@@ -109,16 +108,16 @@ def _listed(folder: Path, content: Any) -> ScanSequence:
 def _frame(folder: Path, entry: Any) -> SequenceFrame:
     if not isinstance(entry, dict):
         raise ValueError(f"expected an object for every frame, got {entry!r}")
-    name, file = entry.get("name"), entry.get("file")
-    _check_name(name)
+    name, file = _checked_name(entry.get("name")), entry.get("file")
     if not isinstance(file, str) or PurePosixPath(file).is_absolute() or ".." in PurePosixPath(file).parts:
         raise ValueError(f"frame {name!r}: its file {file!r} must lie in the sequence's folder")
     return SequenceFrame(name, folder / file)
 
 
-def _check_name(name: Any) -> None:
+def _checked_name(name: Any) -> str:
     if not isinstance(name, str) or not name or name.startswith(".") or set(name) & set("/\\\0"):
         raise ValueError(f"{name!r} cannot be a name: results are files of that name")
+    return name
 
 
 def _check_names(folder: Path, frames: tuple[SequenceFrame, ...]) -> None:

@@ -78,10 +78,10 @@ def hand_at_rest(
         height += _LEFT_RELIEF * slow_waves(
             simulator.surface_vertices, np.random.default_rng([subject.seed, 1])
         )
-    return surface + height[:, None] * _slow_normals(surface, simulator.surface_faces), joints
+    return surface + height[:, None] * slow_normals(surface, simulator.surface_faces), joints
 
 
-def _slow_normals(
+def slow_normals(
     surface: Float[np.ndarray, "N 3"], faces: Int[np.ndarray, "F 3"]
 ) -> Float[np.ndarray, "N 3"]:
     """Normals averaged over some millimetres.
@@ -99,11 +99,21 @@ def _slow_normals(
     return normals
 
 
-def slow_waves(points: Float[np.ndarray, "N 3"], generator: np.random.Generator) -> Float[np.ndarray, " N"]:
-    """Smooth random numbers of about unit variance: plane waves of random direction, length and phase."""
+def slow_waves(
+    points: Float[np.ndarray, "N 3"],
+    generator: np.random.Generator,
+    wavelengths: tuple[float, float] = _WAVELENGTHS,
+) -> Float[np.ndarray, " N"]:
+    """Smooth random numbers of about unit variance: plane waves of random direction, length and phase.
+
+    Args:
+        points: metres.
+        generator: the same state gives the same waves.
+        wavelengths: the shortest and the longest, metres.
+    """
     directions = generator.normal(size=(_WAVES, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    lengths = generator.uniform(*_WAVELENGTHS, size=_WAVES)
+    lengths = generator.uniform(*wavelengths, size=_WAVES)
     phases = generator.uniform(0, 2 * np.pi, _WAVES)
     waves = np.sin(points @ (2 * np.pi * directions / lengths[:, None]).T + phases)
     return np.sqrt(2 / _WAVES) * waves.sum(axis=1)
