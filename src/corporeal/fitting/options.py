@@ -78,6 +78,8 @@ class TrackingOptions:
         components: per hand.
         hand_prior: the mixture, one Gaussian in its place, or none.
         velocity: False leaves the zero-velocity term out.
+        predict: True starts a frame where the body's motion leads, False at the last frame as the paper does:
+            a hand that moves by the width of a finger from frame to frame slips to the next finger.
         samples: points drawn on a scan.
         body_points: of those, how many off the hands are fitted to; on the hands all are.
         hand_weight: weight of a point on a hand; the body's are 1.
@@ -96,6 +98,7 @@ class TrackingOptions:
     components: int = 6
     hand_prior: HandPrior = "mixture"
     velocity: bool = True
+    predict: bool = True
     samples: int = 16_000
     body_points: int = 5_000
     hand_weight: float = 2.0

@@ -7,16 +7,18 @@ bound): only poses are kept of a frame.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from corporeal.fitting.frame_data import FramePoints, frame_points
 from corporeal.fitting.frame_fit import FrameFitter, FrameMeasures, FrameStart
 from corporeal.fitting.options import TrackingBounds, TrackingOptions
+from corporeal.fitting.pose_terms import is_hand
 from corporeal.fitting.subject_template import SubjectTemplate
+from corporeal.model.surface_model import SurfaceModel
 from corporeal.scans.scan import Scan
 
 Status = Literal["ok", "doubtful", "failed"]
@@ -30,15 +32,41 @@ class TrackState:
         pose: (K, 3) of the last good frame, radians.
         translation: (3,) metres.
         fitted: whether a frame has been fitted yet; before, the numbers are the template's start.
+        turned: (K, 3) change of the pose to the last good frame from the one before it; zero where they do
+            not follow one another.
+        moved: (3,) the same of the translation.
     """
 
     pose: Float[np.ndarray, "K 3"]
     translation: Float[np.ndarray, "3"]
     fitted: bool
+    turned: Float[np.ndarray, "K 3"]
+    moved: Float[np.ndarray, "3"]
+
+    @classmethod
+    def at_start(cls, template: SubjectTemplate) -> TrackState:
+        """Before the first frame."""
+        pose, translation = template.start_pose, template.start_translation
+        return cls(pose, translation, False, np.zeros_like(pose), np.zeros(3))
+
+    def after(self, pose: Float[np.ndarray, "K 3"], translation: Float[np.ndarray, "3"]) -> TrackState:
+        """After one more good frame."""
+        if not self.fitted:
+            return TrackState(pose, translation, True, np.zeros_like(pose), np.zeros(3))
+        return TrackState(pose, translation, True, pose - self.pose, translation - self.translation)
+
+    def stopped(self) -> TrackState:
+        """After a frame that was lost: nothing is known of the motion any more."""
+        return replace(self, turned=np.zeros_like(self.turned), moved=np.zeros(3))
 
     def vector(self) -> Float[np.ndarray, " Q"]:
         """As parameters of a model without shape."""
         return np.concatenate([self.translation, self.pose.ravel()])
+
+    def predicted(self, moving: Bool[np.ndarray, " K"]) -> Float[np.ndarray, " Q"]:
+        """Parameters one frame on, if the joints ``moving`` and the translation go on as they did."""
+        pose = self.pose + np.where(moving[:, None], self.turned, 0.0)
+        return np.concatenate([self.translation + self.moved, pose.ravel()])
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +112,8 @@ class Tracker:
         """
         self.options = options or TrackingOptions()
         self._fitter = FrameFitter(template.model, self.options)
-        self.state = previous or TrackState(template.start_pose, template.start_translation, False)
+        self.state = previous or TrackState.at_start(template)
+        self._moving = _body_joints(template.model)
 
     def step(self, scan: Scan | None, name: str, reason: str = "no scan") -> TrackedFrame:
         """Track the next frame.
@@ -112,7 +141,7 @@ class Tracker:
         if status == "failed":
             return self._lost(name, verdict, seconds, measures)
         parameters = self._fitter.fields.parameters(vector)
-        self.state = TrackState(parameters.pose, parameters.translation, True)
+        self.state = self.state.after(parameters.pose, parameters.translation)
         return TrackedFrame(
             name, status, verdict, parameters.pose, parameters.translation, measures.s2m_mm, seconds,
             measures.seen,
@@ -122,7 +151,8 @@ class Tracker:
         """The frame's parameters; a frame that is lost is tried again from farther away."""
         state, options = self.state, self.options
         previous = state.pose if state.fitted else None
-        start = FrameStart(state.vector(), previous, first=not state.fitted)
+        vector = state.predicted(self._moving) if options.predict else state.vector()
+        start = FrameStart(vector, previous, first=not state.fitted)
         steps = options.annealing if state.fitted else options.first
         vector, measures = self._tried(points, start, steps)
         if measures is not None and judged(measures, options.bounds)[0] == "ok":
@@ -147,7 +177,7 @@ class Tracker:
     ) -> TrackedFrame:
         s2m_mm = None if measures is None else measures.s2m_mm
         signals = {} if measures is None else measures.seen
-        state = self.state
+        state = self.state = self.state.stopped()
         return TrackedFrame(name, "failed", reason, state.pose, state.translation, s2m_mm, seconds, signals)
 
 
@@ -167,3 +197,12 @@ def judged(measures: FrameMeasures, bounds: TrackingBounds) -> tuple[Status, str
 def _badness(measures: FrameMeasures) -> float:
     """Distance per share confirmed: neither alone tells a good fit."""
     return measures.s2m_mm["mean"] / max(measures.seen["model_seen"], 1e-3)
+
+
+def _body_joints(model: SurfaceModel) -> Bool[np.ndarray, " K"]:
+    """Joints whose motion is extrapolated: all but the fingers, which stop and turn within a few frames."""
+    moving = np.ones(model.joint_count, dtype=bool)
+    for block in model.pose_blocks:
+        if is_hand(block):
+            moving[list(block.joints)] = False
+    return moving
