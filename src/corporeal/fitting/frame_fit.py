@@ -24,6 +24,7 @@ from corporeal.terms.model_fields import MODEL, ModelFields
 from corporeal.terms.scan_to_surface import MovingSurface, ScanToSurface
 from corporeal.terms.surface_to_scan import ScanSurface, SurfaceToScan
 
+# Curvature along the surface as a share of that across it, as in registration.
 _TANGENTIAL = 0.1
 # Equation 13: the share of the way back from the model to the scan.
 _BACK_SHARE = 0.1

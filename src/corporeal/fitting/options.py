@@ -25,7 +25,7 @@ class TrackingWeights:
 
     data: float = 50.0
     body_pose: float = 2e3
-    hand_pose: float = 10.0
+    hand_pose: float = 100.0
     coupling: float = 5e4
     shape: float = 1.0
     velocity: float = 30.0
@@ -71,15 +71,15 @@ class TrackingOptions:
 
     Attributes:
         weights: of the energies.
-        annealing: the solves of a frame (lambda_a from 100 to 500).
+        annealing: the solves of a frame (lambda_a from 100 to 500). The first has a wide scale: with 3 cm a
+            hand that moves by the width of a finger from frame to frame slips to the next finger.
         first: the solves of the first frame.
         retry: the solves of a frame that was lost, with a wider robust scale.
         hands: six components per hand, all 45 numbers, or flat hands.
         components: per hand.
         hand_prior: the mixture, one Gaussian in its place, or none.
         velocity: False leaves the zero-velocity term out.
-        predict: True starts a frame where the body's motion leads, False at the last frame as the paper does:
-            a hand that moves by the width of a finger from frame to frame slips to the next finger.
+        predict: True starts a frame where the body's motion leads, False at the last frame as the paper does.
         samples: points drawn on a scan.
         body_points: of those, how many off the hands are fitted to; on the hands all are.
         hand_weight: weight of a point on a hand; the body's are 1.
@@ -91,9 +91,9 @@ class TrackingOptions:
     """
 
     weights: TrackingWeights = field(default_factory=TrackingWeights)
-    annealing: tuple[AnnealingStep, ...] = (AnnealingStep(100, 0.03, 4), AnnealingStep(500, 0.01, 5))
-    first: tuple[AnnealingStep, ...] = (AnnealingStep(100, 0.05, 15), AnnealingStep(500, 0.015, 15))
-    retry: tuple[AnnealingStep, ...] = (AnnealingStep(100, 0.15, 12), AnnealingStep(500, 0.02, 10))
+    annealing: tuple[AnnealingStep, ...] = (AnnealingStep(100.0, 0.1, 4), AnnealingStep(500.0, 0.01, 5))
+    first: tuple[AnnealingStep, ...] = (AnnealingStep(100.0, 0.1, 15), AnnealingStep(500.0, 0.015, 15))
+    retry: tuple[AnnealingStep, ...] = (AnnealingStep(100.0, 0.15, 12), AnnealingStep(500.0, 0.02, 10))
     hands: HandPose = "components"
     components: int = 6
     hand_prior: HandPrior = "mixture"

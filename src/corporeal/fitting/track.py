@@ -136,7 +136,7 @@ class Tracker:
         ended = time.perf_counter()
         seconds = {"sample": sampled - begun, "fit": ended - sampled, "total": ended - begun}
         if measures is None:
-            return self._lost(name, "the solver found no finite pose", seconds)
+            return self._lost(name, "track lost: the scan does not determine a pose", seconds)
         status, verdict = judged(measures, self.options.bounds)
         if status == "failed":
             return self._lost(name, verdict, seconds, measures)
