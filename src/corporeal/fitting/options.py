@@ -71,8 +71,7 @@ class TrackingOptions:
 
     Attributes:
         weights: of the energies.
-        annealing: the solves of a frame (lambda_a from 100 to 500). The first has a wide scale: with 3 cm a
-            hand that moves by the width of a finger from frame to frame slips to the next finger.
+        annealing: the solves of a frame (lambda_a from 100 to 500), the first with a wide robust scale.
         first: the solves of the first frame.
         retry: the solves of a frame that was lost, with a wider robust scale.
         hands: six components per hand, all 45 numbers, or flat hands.
