@@ -102,7 +102,7 @@ def _gaussian(rng, sigma):
     }
 
 
-def _mixture(rng, sigma):
+def _mixture(rng, sigma, weighted=False):
     roots = rng.normal(size=(3, 5, 5))
     covariances = np.einsum("mij,mkj->mik", roots, roots) + 0.2 * np.eye(5)
     term = MixturePrior(
@@ -111,7 +111,8 @@ def _mixture(rng, sigma):
         np.array([0.2, 0.5, 0.3]),
         rng.normal(size=(3, 5)),
         covariances,
-        sigma_scale=sigma,
+        sigma_scale=1.0 if weighted else sigma,
+        weight=1 / sigma**2 if weighted else 1.0,
     )
     return term, {PARAMETERS: rng.normal(size=8)}
 
@@ -153,7 +154,7 @@ CASES = {
     "EdgeCoupling": [("plain", _coupling, {})],
     "LandmarkDistances": [("plain", _landmarks, {}), ("robust", _landmarks, {"robust_scale": 3.0})],
     "GaussianPrior": [("plain", _gaussian, {})],
-    "MixturePrior": [("plain", _mixture, {})],
+    "MixturePrior": [("plain", _mixture, {}), ("weighted", _mixture, {"weighted": True})],
     "PoseLimits": [("plain", _limits, {})],
 }
 # Terms in metres have sigmas of millimetres, terms in radians or coefficients of tenths.

@@ -24,6 +24,7 @@ class MixturePrior:
         covariances: Float[np.ndarray, "M D D"],
         *,
         sigma_scale: float = 1.0,
+        weight: float = 1.0,
     ) -> None:
         """Prior on ``parameters[columns]``, axis-angle in radians.
 
@@ -34,13 +35,14 @@ class MixturePrior:
             means: component means.
             covariances: component covariances, positive definite.
             sigma_scale: every standard deviation is multiplied by it: above 1 is a weaker prior.
+            weight: of the whole term, log-determinants included.
         """
         self.name = name
         self._columns = columns
         self._means = means
-        self._precisions = np.linalg.inv(covariances) / sigma_scale**2
+        self._precisions = weight * np.linalg.inv(covariances) / sigma_scale**2
         _, log_determinants = np.linalg.slogdet(covariances)
-        constants = 0.5 * log_determinants - np.log(weights)
+        constants = weight * (0.5 * log_determinants - np.log(weights))
         # Only differences between components matter; a cost that is never negative keeps the solver's
         # relative tolerance meaningful.
         self._constants = constants - constants.min()

@@ -1,0 +1,1 @@
+"""Models fitted to data: bodies tracked through sequences of scans."""

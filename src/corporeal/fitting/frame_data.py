@@ -1,0 +1,124 @@
+"""What a frame is fitted to: points sampled on its scan, and how much of a model they confirm."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from corporeal.fitting.options import TrackingOptions
+from corporeal.fitting.pose_terms import is_hand
+from corporeal.geometry.closest_points import ClosestPoints
+from corporeal.geometry.normals import face_areas, face_normals
+from corporeal.model.surface_model import SurfaceModel
+from corporeal.scans.scan import Scan
+from corporeal.scans.surface_sampling import sample_surface
+from corporeal.terms.scan_to_surface import MovingSurface
+
+# A sample this near, on skin that faces the same way, confirms the surface beside it.
+_BESIDE = 0.02
+_SAME_SKIN = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class FramePoints:
+    """Points spread evenly over a scan's area.
+
+    Attributes:
+        positions: (n, 3) metres.
+        normals: (n, 3) of unit length; None for a point cloud, whose normals are guessed.
+        area_per_point: square metres that a point stands for; None for a point cloud.
+    """
+
+    positions: Float[np.ndarray, "n 3"]
+    normals: Float[np.ndarray, "n 3"] | None
+    area_per_point: float | None
+
+
+def frame_points(scan: Scan, options: TrackingOptions) -> FramePoints:
+    """Sample a frame; the same points for the same scan."""
+    positions, normals = sample_surface(scan, options.samples, seed=options.seed)
+    if scan.is_point_cloud:
+        return FramePoints(positions, None, None)
+    area = float(face_areas(scan.points, scan.faces).sum())
+    return FramePoints(positions, normals, area / len(positions))
+
+
+@dataclass(frozen=True, eq=False)
+class HandFaces:
+    """Faces of each hand of a model: "left_hand" -> (F,), by the joints that carry them."""
+
+    masks: dict[str, Bool[np.ndarray, " F"]]
+
+    @classmethod
+    def of_model(cls, model: SurfaceModel) -> HandFaces:
+        """A face is a hand's where the hand's joints carry most of its three vertices."""
+        masks = {}
+        for block in model.pose_blocks:
+            if is_hand(block):
+                carried = model.skinning_weights[:, list(block.joints)].sum(axis=1) > 0.5
+                masks[block.name] = carried[model.faces].sum(axis=1) >= 2
+        return cls(masks)
+
+    def any_hand(self, count: int) -> Bool[np.ndarray, " F"]:
+        """Faces of either hand, out of ``count``."""
+        found = np.zeros(count, dtype=bool)
+        for mask in self.masks.values():
+            found |= mask
+        return found
+
+
+def chosen_points(
+    points: FramePoints, closest: ClosestPoints, hands: Bool[np.ndarray, " F"], options: TrackingOptions
+) -> tuple[FramePoints, Float[np.ndarray, " n"]]:
+    """All points on the hands and some of the others, with weights.
+
+    The others weigh more where fewer of them are taken, so that body and hands stay in proportion.
+    """
+    on_hand = hands[closest.faces]
+    others = np.flatnonzero(~on_hand)
+    picked = others[: options.body_points]
+    weight = len(others) / max(len(picked), 1) * options.body_points / options.samples
+    kept = np.concatenate([picked, np.flatnonzero(on_hand)])
+    weights = np.where(on_hand[kept], options.hand_weight, weight)
+    normals = None if points.normals is None else points.normals[kept]
+    return FramePoints(points.positions[kept], normals, points.area_per_point), weights
+
+
+def confirmed(
+    points: FramePoints, closest: ClosestPoints, vertices: Float[np.ndarray, "V 3"], surface: MovingSurface
+) -> Bool[np.ndarray, " n"]:
+    """Points within 2 cm of the surface, on skin that faces the same way."""
+    near = closest.distances < _BESIDE
+    if points.normals is not None:
+        own = face_normals(vertices, surface.faces)[closest.faces]
+        near &= np.einsum("na,na->n", own, points.normals) > _SAME_SKIN
+    return near
+
+
+def seen_shares(
+    points: FramePoints,
+    closest: ClosestPoints,
+    vertices: Float[np.ndarray, "V 3"],
+    surface: MovingSurface,
+    hands: HandFaces,
+) -> dict[str, float]:
+    """Share of the surface, and of each hand, that scan points confirm, by area; 1 where all of it is seen.
+
+    Of a point cloud, whose points stand for no area, the share of faces' area per point is that of the whole.
+    """
+    areas = face_areas(vertices, surface.faces)
+    near = confirmed(points, closest, vertices, surface)
+    per_point = points.area_per_point
+    if per_point is None:
+        per_point = float(areas.sum()) / len(points.positions)
+    faces = closest.faces[near]
+    shares = {"model_seen": _share(len(faces), per_point, float(areas.sum()))}
+    for name, mask in hands.masks.items():
+        shares[f"{name}_seen"] = _share(int(mask[faces].sum()), per_point, float(areas[mask].sum()))
+    return shares
+
+
+def _share(count: int, per_point: float, area: float) -> float:
+    return min(count * per_point / max(area, 1e-30), 1.0)

@@ -1,0 +1,134 @@
+"""One frame's pose: points of a scan, a model, a start; a few solves of annealed energies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from corporeal.fitting.frame_data import FramePoints, HandFaces, chosen_points, seen_shares
+from corporeal.fitting.options import AnnealingStep, TrackingOptions
+from corporeal.fitting.pose_terms import pose_terms, tracking_subspace
+from corporeal.geometry.closest_points import SurfaceTree
+from corporeal.geometry.clustering import clustered
+from corporeal.geometry.normals import face_normals
+from corporeal.geometry.topology import open_sides
+from corporeal.model.surface_model import SurfaceModel
+from corporeal.scans.scan import Scan
+from corporeal.solve.dogleg import DoglegOptions, Solution, solve, solve_within
+from corporeal.solve.problem import Problem, State, Term
+from corporeal.terms.distance import DistanceOptions
+from corporeal.terms.gaussian_prior import GaussianPrior
+from corporeal.terms.model_fields import MODEL, ModelFields
+from corporeal.terms.scan_to_surface import MovingSurface, ScanToSurface
+from corporeal.terms.surface_to_scan import ScanSurface, SurfaceToScan
+
+# Curvature along the surface as a share of that across it, as in registration.
+_TANGENTIAL = 0.1
+# Equation 13: the share of the way back from the model to the scan.
+_BACK_SHARE = 0.1
+_SURFACE_POINTS = 12_000
+
+
+@dataclass(frozen=True, eq=False)
+class FrameStart:
+    """Where a frame's fit starts, and what holds it.
+
+    Attributes:
+        vector: (Q,) parameters.
+        previous: pose of the last good frame for the zero-velocity term, or None.
+        first: whether the body's prior and, with ``back``, distances both ways are wanted.
+        back: the scan's surface, for the first frame of a subject, or None.
+    """
+
+    vector: Float[np.ndarray, " Q"]
+    previous: Float[np.ndarray, "K 3"] | None = None
+    first: bool = False
+    back: ScanSurface | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class FrameMeasures:
+    """How a posed model lies in its scan: distances in mm and shares seen."""
+
+    s2m_mm: dict[str, float]
+    seen: dict[str, float]
+
+
+class FrameFitter:
+    """A model made ready for frame after frame: trees, sparsity and subspace are made once."""
+
+    def __init__(self, model: SurfaceModel, options: TrackingOptions, *, shape_count: int = 0) -> None:
+        self.model = model
+        self.options = options
+        self.fields = ModelFields(model, shape_count=shape_count)
+        self.surface = MovingSurface(model.template, model.faces)
+        self.hands = HandFaces.of_model(model)
+        self._any_hand = self.hands.any_hand(len(model.faces))
+        self._subspace = tracking_subspace(model, self.fields.columns, options)
+
+    def fit(self, points: FramePoints, start: FrameStart, steps: tuple[AnnealingStep, ...]) -> Solution:
+        """Solve the steps one after the other; the last solution, which may not be usable."""
+        vector = start.vector
+        solution: Solution | None = None
+        for step in steps:
+            problem = Problem(
+                self._terms(points, vector, start, step), self.fields.derive, self.fields.differentiate
+            )
+            limits = DoglegOptions(iterations=step.iterations, relative_decrease=1e-3)
+            if self._subspace is None:
+                solution = solve(problem, State(vector), limits)
+            else:
+                solution = solve_within(problem, self._subspace, State(vector), limits)
+            if not solution.outcome.usable:
+                return solution
+            vector = solution.state.parameters
+        if solution is None:
+            raise ValueError("steps: expected at least one")
+        return solution
+
+    def measured(self, points: FramePoints, vector: Float[np.ndarray, " Q"]) -> FrameMeasures:
+        """Distances of all sampled points to the posed model, and what they confirm of it."""
+        vertices = self.fields.evaluated(vector).vertices
+        closest = self.surface.closest(vertices, points.positions, None)
+        mm = 1e3 * closest.distances
+        s2m_mm = {
+            "mean": float(mm.mean()),
+            "median": float(np.median(mm)),
+            "p95": float(np.percentile(mm, 95)),
+            "under_1mm": float((mm < 1).mean()),
+        }
+        return FrameMeasures(s2m_mm, seen_shares(points, closest, vertices, self.surface, self.hands))
+
+    def _terms(
+        self, points: FramePoints, vector: np.ndarray, start: FrameStart, step: AnnealingStep
+    ) -> list[Term]:
+        options, weights, columns = self.options, self.options.weights, self.fields.columns
+        cosine = -1.0 if points.normals is None else options.minimum_cosine
+        sigma = float(1 / np.sqrt(step.weight * weights.data))
+        distance = DistanceOptions(sigma, step.robust_scale, _TANGENTIAL, cosine)
+        closest = self.surface.closest(self.fields.evaluated(vector).vertices, points.positions, None)
+        near, shares = chosen_points(points, closest, self._any_hand, options)
+        terms: list[Term] = [
+            ScanToSurface("scan", MODEL, self.surface, near.positions, shares, near.normals, distance)
+        ]
+        if start.back is not None:
+            share = _BACK_SHARE * float(shares.sum()) / self.model.vertex_count
+            back = np.full(self.model.vertex_count, share)
+            terms.append(SurfaceToScan("back", MODEL, self.surface, start.back, back, distance))
+        size = columns.shape.stop - columns.shape.start
+        if size:
+            spread = float(1 / np.sqrt(weights.shape))
+            terms.append(GaussianPrior.isotropic("shape prior", columns.shape, np.zeros(size), spread))
+        return terms + pose_terms(
+            self.model, columns, options, step.weight, previous=start.previous, body_prior=start.first
+        )
+
+
+def scan_surface(scan: Scan) -> ScanSurface | None:
+    """A scan's triangles, fewer where it has many; None for a point cloud."""
+    if scan.is_point_cloud:
+        return None
+    points, faces = clustered(scan.points, scan.faces, _SURFACE_POINTS)
+    return ScanSurface(SurfaceTree(points, faces), face_normals(points, faces), open_sides(faces))

@@ -1,0 +1,114 @@
+"""The numbers of tracking: weights of equations 12-23 of Romero et al. 2017, found by experiment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+HandPose = Literal["components", "full", "flat"]
+HandPrior = Literal["mixture", "gaussian", "none"]
+
+
+@dataclass(frozen=True)
+class TrackingWeights:
+    """Weights of the energies. Terms are half squares; metres and radians.
+
+    Attributes:
+        data: lambda_g, per scan point, times the annealing weight.
+        body_pose: lambda_theta_b, over the annealing weight; first frame only (equations 12 and 22).
+        hand_pose: lambda_theta_h, over the annealing weight.
+        coupling: lambda_c of the free vertices' edges, over the annealing weight; edges relative to their
+            length.
+        shape: lambda_beta, first stage only.
+        velocity: lambda_r, per joint (equation 21).
+    """
+
+    data: float = 50.0
+    body_pose: float = 2e3
+    hand_pose: float = 100.0
+    coupling: float = 5e4
+    shape: float = 1.0
+    velocity: float = 30.0
+
+
+@dataclass(frozen=True)
+class AnnealingStep:
+    """One solve of a frame.
+
+    Attributes:
+        weight: lambda_a.
+        robust_scale: of Geman-McClure, metres.
+        iterations: of dogleg, at most.
+    """
+
+    weight: float
+    robust_scale: float
+    iterations: int
+
+
+@dataclass(frozen=True)
+class TrackingBounds:
+    """Beyond which a frame is doubtful or has failed.
+
+    Attributes:
+        doubtful_mm: mean distance of scan points to the model.
+        failed_mm: the same, for a failure.
+        fewest_points: a frame with fewer is not fitted.
+        covered_share: share of the model's area with scan beside it, under which a frame has failed.
+        doubtful_share: the same, for doubt.
+    """
+
+    doubtful_mm: float = 4.0
+    failed_mm: float = 15.0
+    fewest_points: int = 500
+    covered_share: float = 0.2
+    doubtful_share: float = 0.5
+
+
+@dataclass(frozen=True)
+class TrackingOptions:
+    """How a sequence is tracked; every ablation of the method is a field.
+
+    Attributes:
+        weights: of the energies.
+        annealing: the solves of a frame (lambda_a from 100 to 500), the first with a wide robust scale.
+        first: the solves of the first frame.
+        retry: the solves of a frame that was lost, with a wider robust scale.
+        hands: six components per hand, all 45 numbers, or flat hands.
+        components: per hand.
+        hand_prior: the mixture, one Gaussian in its place, or none.
+        velocity: False leaves the zero-velocity term out.
+        predict: True starts a frame where the body's motion leads, False at the last frame as the paper does.
+        samples: points drawn on a scan.
+        body_points: of those, how many off the hands are fitted to; on the hands all are.
+        hand_weight: weight of a point on a hand; the body's are 1.
+        minimum_cosine: pairs whose normals disagree more are not matched.
+        template_frames: of the first stage, at most.
+        shape_count: shape numbers of the first stage.
+        bounds: of the verdict.
+        seed: of the points drawn.
+    """
+
+    weights: TrackingWeights = field(default_factory=TrackingWeights)
+    annealing: tuple[AnnealingStep, ...] = (AnnealingStep(100.0, 0.1, 4), AnnealingStep(500.0, 0.01, 5))
+    first: tuple[AnnealingStep, ...] = (AnnealingStep(100.0, 0.1, 15), AnnealingStep(500.0, 0.015, 15))
+    retry: tuple[AnnealingStep, ...] = (AnnealingStep(100.0, 0.15, 12), AnnealingStep(500.0, 0.02, 10))
+    hands: HandPose = "components"
+    components: int = 6
+    hand_prior: HandPrior = "mixture"
+    velocity: bool = True
+    predict: bool = True
+    samples: int = 16_000
+    body_points: int = 5_000
+    hand_weight: float = 2.0
+    minimum_cosine: float = 0.3
+    template_frames: int = 50
+    shape_count: int = 20
+    bounds: TrackingBounds = field(default_factory=TrackingBounds)
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.samples < 1 or self.body_points < 1 or self.template_frames < 1:
+            raise ValueError("samples, body_points, template_frames: expected at least 1")
+        if not self.annealing or not self.first or not self.retry:
+            raise ValueError("annealing, first, retry: expected at least one step each")

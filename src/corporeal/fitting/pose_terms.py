@@ -1,0 +1,106 @@
+"""Priors on the pose while tracking: body, hands, limits and zero velocity (equations 16-19 and 21)."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from corporeal.fitting.options import TrackingOptions
+from corporeal.model.jacobian import ParameterColumns
+from corporeal.model.statistics import PoseBlock
+from corporeal.model.surface_model import SurfaceModel
+from corporeal.solve.problem import Term
+from corporeal.solve.subspace import AffineSubspace
+from corporeal.terms.gaussian_prior import GaussianPrior
+from corporeal.terms.pose_limits import PoseLimits
+from corporeal.terms.pose_mixture import MixturePrior
+from corporeal.terms.pose_subspace import pose_subspace
+
+# A scan says nothing of the eyes, and little of the jaw: single joints of the head stay near zero.
+_LONE_JOINT = 0.03
+_LIMIT = 0.1
+# A direction in which the recorded poses hardly vary is not forbidden: 3 degrees about it stay cheap.
+_FLOOR = np.deg2rad(3.0)
+
+
+def pose_terms(
+    model: SurfaceModel,
+    columns: ParameterColumns,
+    options: TrackingOptions,
+    annealing: float,
+    *,
+    previous: Float[np.ndarray, "K 3"] | None,
+    body_prior: bool,
+) -> list[Term]:
+    """All terms that speak of the pose alone.
+
+    Args:
+        model: what is tracked.
+        columns: of its parameters.
+        options: weights and ablations.
+        annealing: lambda_a.
+        previous: pose of the last good frame, or None where there is none.
+        body_prior: whether the body's pose is pulled to its mean (first frame).
+    """
+    terms: list[Term] = []
+    for block in model.pose_blocks:
+        where = block_columns(block, columns)
+        if is_hand(block):
+            terms += _hand_terms(block, where, options, options.weights.hand_pose / annealing)
+        elif len(block.joints) == 1:
+            terms.append(GaussianPrior.isotropic(f"{block.name} prior", where, block.mean, _LONE_JOINT))
+        elif body_prior:
+            sigma = float(np.sqrt(annealing / options.weights.body_pose))
+            terms.append(GaussianPrior.isotropic(f"{block.name} prior", where, block.mean, sigma))
+        if block.limits is not None:
+            terms.append(PoseLimits(f"{block.name} limits", where, block.limits, _LIMIT))
+    if options.velocity and previous is not None:
+        sigma = float(1 / np.sqrt(options.weights.velocity))
+        terms.append(GaussianPrior.isotropic("velocity", columns.pose, previous.ravel(), sigma))
+    return terms
+
+
+def tracking_subspace(
+    model: SurfaceModel, columns: ParameterColumns, options: TrackingOptions
+) -> AffineSubspace | None:
+    """The parameters that are free: hands by components, flat, or None where all are."""
+    hands = [block for block in model.pose_blocks if is_hand(block)]
+    if options.hands == "full" or not hands:
+        return None
+    if options.hands == "components":
+        return pose_subspace(model, columns, options.components)
+    free = np.ones(columns.count, dtype=bool)
+    for block in hands:
+        free[block_columns(block, columns)] = False
+    return AffineSubspace(np.zeros(columns.count), np.eye(columns.count)[:, free])
+
+
+def is_hand(block: PoseBlock) -> bool:
+    """Whether principal components of its poses are known, as they are of hands."""
+    return len(block.components) > 0
+
+
+def block_columns(block: PoseBlock, columns: ParameterColumns) -> slice:
+    """Where a block's numbers stand in the parameters.
+
+    Raises:
+        ValueError: its joints do not follow one another.
+    """
+    joints = np.asarray(block.joints)
+    if not np.array_equal(joints, np.arange(joints[0], joints[0] + len(joints))):
+        raise ValueError(f"pose block {block.name!r}: its joints must follow one another to be tracked")
+    start = columns.pose.start + 3 * int(joints[0])
+    return slice(start, start + 3 * len(joints))
+
+
+def _hand_terms(block: PoseBlock, where: slice, options: TrackingOptions, weight: float) -> list[Term]:
+    if options.hand_prior == "none":
+        return []
+    name, floor = f"{block.name} prior", _FLOOR**2 * np.eye(len(block.mean))
+    if options.hand_prior == "mixture" and block.mixture is not None:
+        found = block.mixture
+        covariances = found.covariances + floor
+        return [MixturePrior(name, where, found.weights, found.means, covariances, weight=weight)]
+    spread = block.components * block.component_deviations[:, None]
+    precision = np.linalg.inv(spread.T @ spread + floor)
+    return [GaussianPrior(name, where, block.mean, weight * precision)]
