@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pygltflib
+from jaxtyping import Float
 
 _COMPONENT_TYPES = {
     np.dtype(np.uint8): pygltflib.UNSIGNED_BYTE,
@@ -32,27 +33,64 @@ class BufferBuilder:
             bounds: state the smallest and largest element, which positions and key times must.
         """
         stored = array.swapaxes(1, 2) if array.ndim == 3 else array
-        # Every view begins at a multiple of 4, whatever its component type.
-        self._content += b"\0" * (-len(self._content) % 4)
-        content = np.ascontiguousarray(stored).astype(stored.dtype.newbyteorder("<")).tobytes()
-        self.views.append(
-            pygltflib.BufferView(
-                buffer=0, byteOffset=len(self._content), byteLength=len(content), target=target
-            )
-        )
-        self._content += content
         accessor = pygltflib.Accessor(
-            bufferView=len(self.views) - 1,
+            bufferView=self._view(stored, target),
             componentType=_COMPONENT_TYPES[array.dtype],
             count=len(array),
             type=_ELEMENT_TYPES[array.shape[1:]],
         )
         if bounds:
-            accessor.min = np.atleast_1d(array.min(axis=0)).astype(float).tolist()
-            accessor.max = np.atleast_1d(array.max(axis=0)).astype(float).tolist()
+            _state_bounds(accessor, array)
+        self.accessors.append(accessor)
+        return len(self.accessors) - 1
+
+    def add_displacements(self, displacements: Float[np.ndarray, "V 3"]) -> int:
+        """Append a morph target; only its rows that are not zero are stored where that is shorter."""
+        moved = np.flatnonzero(np.any(displacements != 0, axis=1))
+        index_type = np.uint16 if len(displacements) <= np.iinfo(np.uint16).max else np.uint32
+        full = displacements.nbytes
+        if (
+            not len(moved)
+            or len(moved) * (np.dtype(index_type).itemsize + full // len(displacements)) >= full
+        ):
+            return self.add(displacements, target=pygltflib.ARRAY_BUFFER, bounds=True)
+        indices = self._view(moved.astype(index_type))
+        values = self._view(displacements[moved])
+        accessor = pygltflib.Accessor(
+            byteOffset=None,
+            componentType=_COMPONENT_TYPES[displacements.dtype],
+            count=len(displacements),
+            type="VEC3",
+            sparse=pygltflib.Sparse(
+                count=len(moved),
+                indices=pygltflib.AccessorSparseIndices(
+                    bufferView=indices, componentType=_COMPONENT_TYPES[np.dtype(index_type)]
+                ),
+                values=pygltflib.AccessorSparseValues(bufferView=values),
+            ),
+        )
+        _state_bounds(accessor, displacements)
         self.accessors.append(accessor)
         return len(self.accessors) - 1
 
     def content(self) -> bytes:
         """The buffer, padded to a multiple of 4 bytes as the GLB container asks."""
         return bytes(self._content) + b"\0" * (-len(self._content) % 4)
+
+    def _view(self, array: np.ndarray, target: int | None = None) -> int:
+        """Append the bytes of an array; the index of their buffer view."""
+        # Every view begins at a multiple of 4, whatever its component type.
+        self._content += b"\0" * (-len(self._content) % 4)
+        content = np.ascontiguousarray(array).astype(array.dtype.newbyteorder("<")).tobytes()
+        self.views.append(
+            pygltflib.BufferView(
+                buffer=0, byteOffset=len(self._content), byteLength=len(content), target=target
+            )
+        )
+        self._content += content
+        return len(self.views) - 1
+
+
+def _state_bounds(accessor: pygltflib.Accessor, array: np.ndarray) -> None:
+    accessor.min = np.atleast_1d(array.min(axis=0)).astype(float).tolist()
+    accessor.max = np.atleast_1d(array.max(axis=0)).astype(float).tolist()

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
+from corporeal.model.jacobian import evaluate
 from corporeal.model.pose import FullPose
 from corporeal.model.surface_model import SurfaceModel
 
@@ -57,13 +59,33 @@ class GlbFile:
     def array(self, accessor_index: int) -> np.ndarray:
         """(N,) or (N, width) numbers of an accessor; matrices as (N, 4, 4)."""
         accessor = self.document["accessors"][accessor_index]
-        view = self.document["bufferViews"][accessor["bufferView"]]
         dtype, width = np.dtype(_COMPONENTS[accessor["componentType"]]), _WIDTHS[accessor["type"]]
-        start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
-        numbers = np.frombuffer(self.binary, dtype, accessor["count"] * width, start)
+        numbers = np.zeros(accessor["count"] * width, dtype)
+        if "bufferView" in accessor:
+            numbers = self._numbers(
+                accessor["bufferView"], accessor.get("byteOffset", 0), dtype, len(numbers)
+            )
+        if "sparse" in accessor:
+            numbers = self._with_sparse(numbers.reshape(-1, width), accessor["sparse"]).ravel()
         if width == 16:
             return numbers.reshape(-1, 4, 4).swapaxes(1, 2)
         return numbers if width == 1 else numbers.reshape(-1, width)
+
+    def _numbers(self, view_index: int, offset: int, dtype: np.dtype, count: int) -> np.ndarray:
+        start = self.document["bufferViews"][view_index].get("byteOffset", 0) + offset
+        return np.frombuffer(self.binary, dtype, count, start)
+
+    def _with_sparse(self, numbers: np.ndarray, sparse: dict[str, Any]) -> np.ndarray:
+        """The rows that a sparse accessor replaces."""
+        indices, values, count = sparse["indices"], sparse["values"], sparse["count"]
+        index_type = np.dtype(_COMPONENTS[indices["componentType"]])
+        rows = self._numbers(indices["bufferView"], indices.get("byteOffset", 0), index_type, count)
+        given = self._numbers(
+            values["bufferView"], values.get("byteOffset", 0), numbers.dtype, count * numbers.shape[1]
+        )
+        replaced = numbers.copy()
+        replaced[rows] = given.reshape(count, -1)
+        return replaced
 
     @property
     def key_times(self) -> Float[np.ndarray, " n"]:
@@ -144,6 +166,32 @@ def compare_with_model(
     errors = [distance_mm(vertices_at(glb, moment), wanted[i]) for i, moment in enumerate(moments)]
     opened = distance_mm(vertices_at(glb, None), wanted[len(times) - 1])
     return GlbAgreement(tuple(errors[: len(times)]), tuple(errors[len(times) :]), opened)
+
+
+def largest_track_errors_mm(
+    path: Path | str, model: SurfaceModel, shape: Float[np.ndarray, " s"], poses: Float[np.ndarray, "n K 3"],
+    translations: Float[np.ndarray, "n 3"], frames: Sequence[int],
+) -> dict[int, float]:  # fmt: skip
+    """How far a file of ``write_animation`` is from the model at some of its keys.
+
+    Args:
+        path: the file.
+        model: as given to ``write_animation``.
+        shape: as given to ``write_animation``.
+        poses: as given to ``write_animation``.
+        translations: as given to ``write_animation``.
+        frames: which keys are evaluated.
+
+    Returns:
+        Frame -> largest distance of a vertex, millimetres.
+    """
+    glb = GlbFile.read(path)
+    errors = {}
+    for frame in frames:
+        wanted = evaluate(model, shape, poses[frame], translations[frame]).vertices
+        got = vertices_at(glb, float(glb.key_times[frame]))
+        errors[int(frame)] = float(1000 * np.linalg.norm(got - wanted, axis=1).max())
+    return errors
 
 
 def _animate(glb: GlbFile, nodes: list[dict[str, Any]], seconds: float) -> None:
