@@ -39,8 +39,8 @@ def principal_correctives(
 ) -> PrincipalCorrectives:
     """Principal components of the pose correctives (equation 3 of the MANO paper) over the keys.
 
-    The offsets F D^T would be n times 3 V numbers. Their principal directions follow from F^T F and
-    D^T D alone (P x P), so that memory does not grow with the sequence: with F^T F = L L^T, the directions are
+    The offsets F D^T would be n times 3 V numbers. Their principal directions follow from F^T F
+    and D^T D alone (P x P), so that memory does not grow with the sequence: with F^T F = L L^T, they are
     D L w, where w are the eigenvectors of L^T D^T D L.
 
     Args:

@@ -63,6 +63,44 @@ class Worker(Protocol):
         """Let go of the detector."""
 
 
+@dataclass(frozen=True, eq=False)
+class News:
+    """What a worker tells while it works on a job: of JSON's types.
+
+    Attributes:
+        content: whatever the worker and who listens have agreed on.
+    """
+
+    content: dict[str, Any]
+
+
+@runtime_checkable
+class TellingWorker(Protocol):
+    """A worker whose jobs are long; whoever runs it puts in ``tell`` where its news go.
+
+    ``tell`` raises where nobody listens any more; the worker lets that through, and ends.
+    """
+
+    tell: Callable[[dict[str, Any]], None]
+
+
+@runtime_checkable
+class NamedJob(Protocol):
+    """What the pool and dask need to know of a job."""
+
+    @property
+    def name(self) -> str:
+        """Unique among the jobs."""
+
+
+@runtime_checkable
+class AnySetup(Protocol):
+    """All that a worker of whatever jobs needs, picklable: sent once to every process."""
+
+    def start(self) -> Any:
+        """Called in the worker's process; gives what is called with a job, and has ``close``."""
+
+
 @runtime_checkable
 class WorkerSetup(Protocol):
     """All that a worker needs, picklable: sent once to every process."""

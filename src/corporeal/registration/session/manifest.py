@@ -58,14 +58,14 @@ def check_same(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
             f"the manifest's format is {old.get('format')!r}, expected {FORMAT!r}; choose another folder, or "
             "redo it with --restart"
         )
-    changes = [f"the model: {line}" for line in _changes(old["model"], new["model"])]
-    changes += [f"option {line}" for line in _changes(old["options"], new["options"])]
+    changes = [f"the model: {line}" for line in changes_between(old["model"], new["model"])]
+    changes += [f"option {line}" for line in changes_between(old["options"], new["options"])]
     known = {name: new["scans"].get(name) for name in old["scans"]}
     gone = sorted(name for name, scan in known.items() if scan is None)
     changes += [f"scan {name} is no longer in the session" for name in gone[:3]]
     kept = {name: scan for name, scan in known.items() if scan is not None}
-    changes += [f"scan {line}" for line in _changes({name: old["scans"][name] for name in kept}, kept)]
-    changes += [f"the session's unit: {line}" for line in _changes(
+    changes += [f"scan {line}" for line in changes_between({name: old["scans"][name] for name in kept}, kept)]
+    changes += [f"the session's unit: {line}" for line in changes_between(
         {"unit": old["session"]["unit"]}, {"unit": new["session"]["unit"]})]  # fmt: skip
     if changes:
         shown = "; ".join(changes[:6]) + ("; ..." if len(changes) > 6 else "")
@@ -73,7 +73,7 @@ def check_same(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
             f"since these results were begun, this has changed: {shown}. Put it back, choose another folder, "
             "or redo all with --restart"
         )
-    notes = [f"another version of {line}" for line in _changes(old["versions"], new["versions"])]
+    notes = [f"another version of {line}" for line in changes_between(old["versions"], new["versions"])]
     added = len(new["scans"]) - len(old["scans"])
     return notes + ([f"{added} scans were added to the session"] if added else [])
 
@@ -83,7 +83,8 @@ def digest(content: Any) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-def _changes(old: Any, new: Any) -> list[str]:
+def changes_between(old: Any, new: Any) -> list[str]:
+    """A sentence "key: before -> now" for everything in which two JSON contents differ."""
     before, now = _flat(old), _flat(new)
     missing = "absent"
     return [

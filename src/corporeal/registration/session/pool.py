@@ -13,15 +13,21 @@ import os
 import signal
 import time
 from collections import Counter, deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from multiprocessing import connection
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import Any
 
-from corporeal.registration.session.jobs import ScanJob, WorkerError, WorkerSetup, lost_record
-from corporeal.registration.session.records import SessionRecord
+from corporeal.registration.session.jobs import (
+    AnySetup,
+    NamedJob,
+    News,
+    TellingWorker,
+    WorkerError,
+    lost_record,
+)
 
 _TRIES = 2
 _FAILED_STARTS = 3
@@ -37,8 +43,9 @@ _THREAD_VARIABLES = (
 
 
 def run_local(
-    setup: WorkerSetup, jobs: Iterable[ScanJob], workers: int, longest: float = _LONGEST_SECONDS
-) -> Iterator[tuple[ScanJob, SessionRecord]]:
+    setup: AnySetup, jobs: Iterable[NamedJob], workers: int, longest: float = _LONGEST_SECONDS,
+    lost: Callable[[Any, str], Any] = lost_record,
+) -> Iterator[tuple[Any, Any]]:  # fmt: skip
     """Run jobs in ``workers`` spawned processes of one thread each.
 
     One thread also for a single worker: sums over several threads round otherwise, and results must not
@@ -48,16 +55,16 @@ def run_local(
         setup: pickled once for every process.
         jobs: what to do.
         workers: how many processes.
-        longest: seconds after which a scan's worker is ended as if it had died.
+        longest: seconds without news after which a job's worker is ended as if it had died.
+        lost: makes the record of a job whose worker died twice without news in between.
 
     Yields:
-        A record per job, in the order in which they are finished. A scan whose worker died twice gets a
-        failed one.
+        A record per job, in the order in which they are finished; before it, ``News`` of workers that tell.
 
     Raises:
         WorkerError: workers cannot start, or one says that no scan can succeed.
     """
-    pool = _Pool(setup, deque(jobs), longest)
+    pool = _Pool(setup, deque(jobs), longest, lost)
     try:
         pool.staff(workers)
         while pool.has_work:
@@ -73,15 +80,18 @@ class _Seat:
     process: BaseProcess
     pipe: Connection
     ready: bool = False
-    job: ScanJob | None = None
+    job: NamedJob | None = None
     deadline: float = float("inf")
 
 
 class _Pool:
-    def __init__(self, setup: WorkerSetup, queue: deque[ScanJob], longest: float) -> None:
+    def __init__(
+        self, setup: AnySetup, queue: deque[Any], longest: float, lost: Callable[[Any, str], Any]
+    ) -> None:
         self._setup = setup
         self._queue = queue
         self._longest = longest
+        self._lost = lost
         self._seats: list[_Seat] = []
         self._deaths: Counter[str] = Counter()
         self._failed_starts = 0
@@ -94,7 +104,7 @@ class _Pool:
         for _ in range(min(workers, len(self._queue))):
             self._seats.append(self._seated())
 
-    def step(self) -> Iterator[tuple[ScanJob, SessionRecord]]:
+    def step(self) -> Iterator[tuple[Any, Any]]:
         """Hand out jobs and wait for news."""
         for seat in self._seats:
             if seat.ready and seat.job is None and self._queue:
@@ -125,7 +135,7 @@ class _Pool:
         theirs.close()
         return _Seat(process, ours)
 
-    def _give(self, seat: _Seat, job: ScanJob) -> None:
+    def _give(self, seat: _Seat, job: NamedJob) -> None:
         try:
             seat.pipe.send(job)
         except (BrokenPipeError, ConnectionResetError):
@@ -134,7 +144,7 @@ class _Pool:
             return
         seat.job, seat.deadline = job, time.monotonic() + self._longest
 
-    def _news(self, seat: _Seat) -> Iterator[tuple[ScanJob, SessionRecord]]:
+    def _news(self, seat: _Seat) -> Iterator[tuple[Any, Any]]:
         message = _received(seat.pipe)
         if message is not None:
             yield from self._message(seat, *message)
@@ -144,16 +154,20 @@ class _Pool:
             seat.process.kill()
             yield from self._replaced(seat, f"it took longer than {self._longest:g} s")
 
-    def _message(self, seat: _Seat, kind: str, content: Any) -> Iterator[tuple[ScanJob, SessionRecord]]:
+    def _message(self, seat: _Seat, kind: str, content: Any) -> Iterator[tuple[Any, Any]]:
         if kind == "unable":
             raise WorkerError(content)
         if kind == "ready":
             seat.ready, self._failed_starts = True, 0
+        elif seat.job is not None and kind == "news":
+            seat.deadline = time.monotonic() + self._longest
+            del self._deaths[seat.job.name]
+            yield seat.job, News(content)
         elif seat.job is not None:
             job, seat.job, seat.deadline = seat.job, None, float("inf")
             yield job, content
 
-    def _replaced(self, seat: _Seat, how: str) -> Iterator[tuple[ScanJob, SessionRecord]]:
+    def _replaced(self, seat: _Seat, how: str) -> Iterator[tuple[Any, Any]]:
         seat.process.join()
         seat.pipe.close()
         if not seat.ready:
@@ -166,7 +180,7 @@ class _Pool:
             if self._deaths[seat.job.name] < _TRIES:
                 self._queue.append(seat.job)
                 return
-            yield seat.job, lost_record(seat.job, f"its worker process was lost twice ({how})")
+            yield seat.job, self._lost(seat.job, f"its worker process was lost twice ({how})")
 
 
 def _received(pipe: Connection) -> tuple[str, Any] | None:
@@ -176,12 +190,14 @@ def _received(pipe: Connection) -> tuple[str, Any] | None:
         return None
 
 
-def _serve(pipe: Connection, setup: WorkerSetup) -> None:
+def _serve(pipe: Connection, setup: AnySetup) -> None:
     """A worker's life; it ends with its parent, whose end of the pipe closes then."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle.
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
         try:
             worker = setup.start()
+            if isinstance(worker, TellingWorker):
+                worker.tell = lambda content: pipe.send(("news", content))
             pipe.send(("ready", None))
             while True:
                 pipe.send(("record", worker(pipe.recv())))
