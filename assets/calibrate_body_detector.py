@@ -2,8 +2,8 @@
 
 As `calibrate_detector.py` does for the hand: the body is rendered in many shapes and poses through the same
 virtual cameras that look at scans, MediaPipe's 33 landmarks are triangulated, and each becomes a sparse,
-non-negative combination of nearby vertices and joints. The 42 of the hands are those of the hand's own
-calibration, which the body holds already.
+non-negative combination of nearby vertices and joints, averaged with its mirror image. The 42 of the hands
+are those of the hand's own calibration, which the body holds already.
 
     python assets/calibrate_body_detector.py [--samples 40] [--body FILE]
 """
@@ -22,6 +22,7 @@ from corporeal.geometry.normals import vertex_normals
 from corporeal.model.files import load_model, save_model
 from corporeal.model.jacobian import Evaluated, evaluate
 from corporeal.model.landmarks import LandmarkSet
+from corporeal.model.mirror import mirror_model
 from corporeal.model.surface_model import SurfaceModel
 from corporeal.scans.body_detector import BODY_NAMES, BodyDetector
 from corporeal.scans.body_landmarks import find_body_landmarks
@@ -75,6 +76,14 @@ def calibrate(model: SurfaceModel, count: int, seed: int) -> tuple[LandmarkSet, 
     return LandmarkSet(names, sp.csr_matrix(weights), model.vertex_count), np.array(residuals)
 
 
+def symmetric(model: SurfaceModel) -> SurfaceModel:
+    """The model with its set averaged with its mirror image: the samples' noise is not the body's shape."""
+    ours, image = model.landmarks[SET_NAME], mirror_model(model).landmarks[SET_NAME]
+    weights = sp.csr_matrix(0.5 * (ours.weights + image.weights))
+    averaged = LandmarkSet(ours.names, weights, model.vertex_count)
+    return model.replace(landmarks={**model.landmarks, SET_NAME: averaged})
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -84,8 +93,8 @@ def main() -> None:
     options = parser.parse_args()
     model = load_model(options.body)
     landmark_set, residuals = calibrate(model, options.samples, seed=0)
-    landmarks = {**model.landmarks, SET_NAME: landmark_set}
-    save_model(model.replace(landmarks=landmarks), options.body, precision="float16")
+    calibrated = symmetric(model.replace(landmarks={**model.landmarks, SET_NAME: landmark_set}))
+    save_model(calibrated, options.body, precision="float16")
     for name, residual in zip(BODY_NAMES, residuals, strict=True):
         print(f"{name:20} median residual {1e3 * residual:.1f} mm")
 
