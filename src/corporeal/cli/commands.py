@@ -125,29 +125,35 @@ class Merge:
 
 @dataclass(frozen=True)
 class Simulate:
-    """Simulate a capture session of hands: soft flesh, a stereo scanner, faults, and the truth.
+    """Simulate a capture with its truth: hands in protocol poses, or with --body people in motion.
 
     Attributes:
-        output: folder of the session; an interrupted one is continued.
-        subjects: number of people.
+        output: folder of the session or of the sequences; an interrupted one is continued.
+        subjects: number of people; 31 for hands, one for every two sequences for bodies.
         poses: number of protocol poses; every hand does about five eighths of them.
         seed: everything follows from it.
         sides: which hands.
         objects: put green objects into grasps.
         bad_one_in: one scan in so many is spoilt on purpose; 0 for none.
         natural_share: share of scans that show a pose of no protocol, between recorded ones.
+        body: 4D sequences of people, 60 frames a second; mesh, skinning and shapes are not the open body's.
+        sequences: number of sequences of bodies; 1 if not given.
+        frames: of each sequence; 200 if not given.
         workers: processes; 0 for one per core.
         json: also write the machine-readable result to this file.
     """
 
     output: tyro.conf.Positional[Path]
-    subjects: int = 31
+    subjects: int | None = None
     poses: int = 51
     seed: int = 0
     sides: Literal["both", "right", "left"] = "both"
     objects: bool = False
     bad_one_in: int = 40
     natural_share: float = 0.15
+    body: bool = False
+    sequences: int | None = None
+    frames: int | None = None
     workers: int = 0
     json: Annotated[Path | None, tyro.conf.arg()] = None
 

@@ -1,27 +1,25 @@
-"""``corporeal simulate``: a virtual capture session with the truth beside every scan."""
+"""``corporeal simulate``: a virtual capture session of hands with the truth beside every scan."""
 
 from __future__ import annotations
 
 import dataclasses
 import io
-import multiprocessing
-import os
 import time
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 import corporeal
 from corporeal.atomic import write_bytes
+from corporeal.cli import simulate_bodies
 from corporeal.cli.commands import Simulate
 from corporeal.cli.errors import CommandError
 from corporeal.cli.files import check_result, write_json, write_result
+from corporeal.cli.simulation_pool import check_same, make_pieces
 from corporeal.export.meshes import write_ply
-from corporeal.registration.session.pool import single_threaded
 from corporeal.scans.simulation.faults import spoiled_bytes
 from corporeal.scans.simulation.simulate import (
     NATURAL_SHARE,
@@ -37,9 +35,11 @@ _FORMAT = "corporeal-session-1"
 
 
 def run(config: Simulate) -> int:
-    """Make what is missing of a session."""
+    """Make what is missing of a session, or of sequences of bodies."""
+    if config.body:
+        return simulate_bodies.run(config)
     options = SimulationOptions(
-        config.subjects,
+        SimulationOptions.subjects if config.subjects is None else config.subjects,
         config.poses,
         config.seed,
         config.sides,
@@ -71,37 +71,12 @@ def run(config: Simulate) -> int:
 def _make_all(
     config: Simulate, options: SimulationOptions, missing: list[PlannedScan], console: Console
 ) -> None:
-    workers = min(config.workers or os.cpu_count() or 1, max(len(missing), 1))
     # One person's hand is prepared once: a worker takes all poses of it that are missing.
     hands: dict[tuple[int, str], list[PlannedScan]] = {}
     for scan in missing:
         hands.setdefault((scan.subject, scan.side), []).append(scan)
     pieces = [part for scans in hands.values() for part in _pieces(scans)]
-    columns = (
-        TextColumn("simulating"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"),
-        TimeRemainingColumn(),
-    )  # fmt: skip
-    context = multiprocessing.get_context("spawn")
-    with (
-        # The workers share the cores, and sums keep their order, so that bytes repeat.
-        single_threaded(),
-        ProcessPoolExecutor(workers, mp_context=context) as pool,
-        Progress(*columns, console=console, transient=True) as progress,
-    ):
-        task = progress.add_task("", total=len(missing), rate="")
-        begun, done = time.perf_counter(), 0
-        futures = [pool.submit(make_scans, config.output, options, piece) for piece in pieces]
-        try:
-            for future in as_completed(futures):
-                done += future.result()
-                rate = (time.perf_counter() - begun) / max(done, 1)
-                progress.update(task, completed=done, rate=f"{rate:.2f} s a scan")
-        except OSError as error:
-            pool.shutdown(cancel_futures=True)
-            raise CommandError(f"{config.output}: cannot be written: {error}") from error
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    make_pieces(partial(make_scans, config.output, options), pieces, len(missing), config.workers, console)
 
 
 def _pieces(scans: list[PlannedScan]) -> list[list[PlannedScan]]:
@@ -152,7 +127,8 @@ def _write_session(folder: Path, options: SimulationOptions, plan: tuple[Planned
     }
     path = folder / "session.json"
     try:
-        _check_same(path, content["options"])
+        # Sessions of before there was this option hold the share that it has by default.
+        check_same(path, content["options"], {"natural_share": NATURAL_SHARE})
         write_json(path, content)
         for part in ("scans", "truth"):
             (folder / part).mkdir(parents=True, exist_ok=True)
@@ -160,30 +136,14 @@ def _write_session(folder: Path, options: SimulationOptions, plan: tuple[Planned
         raise CommandError(f"{folder}: cannot be written: {error.strerror or error}", 2) from error
 
 
-def _check_same(path: Path, options: dict[str, Any]) -> None:
-    """Refuse to continue a session that was begun with other options."""
-    import json
-
-    if not path.exists():
-        return
-    try:
-        before = json.loads(path.read_text()).get("options", {})
-    except (ValueError, AttributeError) as error:
-        raise CommandError(f"{path}: is no session file: {error}", 2) from error
-    # Sessions of before there was this option hold the share that it has by default.
-    before.setdefault("natural_share", NATURAL_SHARE)
-    changed = [name for name, value in options.items() if before.get(name) != value]
-    if changed:
-        words = ", ".join(f"--{name.replace('_', '-')} {before.get(name)}" for name in changed)
-        raise CommandError(
-            f"{path.parent}: was begun with {words}; continue with that or take another folder", 2
-        )
-
-
 def _check_call(config: Simulate) -> None:
+    for name in ("sequences", "frames"):
+        if getattr(config, name) is not None:
+            raise CommandError(f"--{name}: is for --body, not for sessions of hands", 2)
     for name in ("subjects", "poses"):
-        if getattr(config, name) < 1:
-            raise CommandError(f"--{name}: expected at least 1, got {getattr(config, name)}", 2)
+        value = getattr(config, name)
+        if value is not None and value < 1:
+            raise CommandError(f"--{name}: expected at least 1, got {value}", 2)
     if config.bad_one_in < 0 or config.workers < 0 or config.seed < 0:
         raise CommandError("--bad-one-in, --workers and --seed: expected 0 or more", 2)
     if not 0 <= config.natural_share <= 1:

@@ -15,7 +15,9 @@ from corporeal.scans.simulation.scanner import RawCapture
 def capture(rng: np.random.Generator) -> RawCapture:
     points = rng.normal(scale=0.05, size=(400, 3))
     faces = rng.permuted(np.tile(np.arange(400), (600, 1)), axis=1)[:, :3]
-    return RawCapture(points, faces, rng.integers(0, 256, (400, 3)).astype(np.uint8), points.copy())
+    return RawCapture(
+        points, faces, rng.integers(0, 256, (400, 3)).astype(np.uint8), points.copy(), np.arange(400)
+    )
 
 
 def test_choice_follows_from_name_and_seed_at_the_rate_asked_for() -> None:

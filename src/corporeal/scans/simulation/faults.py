@@ -32,7 +32,7 @@ def spoil(capture: RawCapture, fault: Fault, generator: np.random.Generator) -> 
     if fault == "half":
         return _half(capture, generator)
     if fault == "empty":
-        return RawCapture(capture.points[:0], capture.faces[:0], capture.colours[:0], capture.clean[:0])
+        return _kept(capture, np.zeros(0, dtype=np.int64), capture.faces[:0])
     return capture
 
 
@@ -72,7 +72,7 @@ def _moved(capture: RawCapture, generator: np.random.Generator) -> RawCapture:
     ghost = capture.points.copy()
     ghost[late] = (capture.points[late] - centre) @ turn.T + centre + step
     whole = late[capture.faces].all(1) | ~late[capture.faces].any(1)
-    return RawCapture(ghost, capture.faces[whole], capture.colours, capture.clean)
+    return RawCapture(ghost, capture.faces[whole], capture.colours, capture.clean, capture.samples)
 
 
 def _half(capture: RawCapture, generator: np.random.Generator) -> RawCapture:
@@ -82,4 +82,9 @@ def _half(capture: RawCapture, generator: np.random.Generator) -> RawCapture:
     kept = along < np.median(along)
     number = np.cumsum(kept) - 1
     faces = number[capture.faces[kept[capture.faces].all(1)]]
-    return RawCapture(capture.points[kept], faces, capture.colours[kept], capture.clean[kept])
+    return _kept(capture, kept, faces)
+
+
+def _kept(capture: RawCapture, kept: np.ndarray, faces: np.ndarray) -> RawCapture:
+    colours, clean, samples = (array[kept] for array in (capture.colours, capture.clean, capture.samples))
+    return RawCapture(capture.points[kept], faces, colours, clean, samples)

@@ -51,7 +51,7 @@ class BodySimulator:
         template_barycentric: (P, 3) and where on it.
         template_placed: (P,) which of them have a place; eyes have none.
         clips: recorded motion of bodies.
-        finger_runs: recorded motion of fingers: (n, 15, 3) axis-angle of a right hand, 30 per second.
+        finger_runs: recorded motion of fingers: each (n, 15, 3) axis-angle of a right hand, 30 per second.
     """
 
     vertices: Float[np.ndarray, "V 3"]
@@ -69,7 +69,7 @@ class BodySimulator:
     template_barycentric: Float[np.ndarray, "P 3"]
     template_placed: Bool[np.ndarray, " P"]
     clips: tuple[RecordedClip, ...]
-    finger_runs: tuple[Float[np.ndarray, "n 15 3"], ...]
+    finger_runs: tuple[Float[np.ndarray, "_ 15 3"], ...]
 
     def on_template(self, surface: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "P 3"]:
         """Where the template's vertices lie when the skin's lie at ``surface``."""
