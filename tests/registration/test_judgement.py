@@ -7,11 +7,11 @@ import pytest
 
 from corporeal.registration.judgement import Bounds, verdict_of
 
-NAMES = [field.name for field in fields(Bounds) if field.name != "together"]
+NAMES = [field.name for field in fields(Bounds) if not field.name.startswith("together")]
 GOOD = dict.fromkeys(NAMES, 0.0)
 
 
-@pytest.mark.parametrize("bounds", [Bounds(), Bounds.for_sessions()])
+@pytest.mark.parametrize("bounds", [Bounds(), Bounds.for_sessions(), Bounds.for_bodies()])
 @pytest.mark.parametrize("name", NAMES)
 def test_each_signal_alone_makes_doubtful_then_failed(name, bounds):
     soft, hard = getattr(bounds, name)
@@ -35,6 +35,16 @@ def test_many_doubtful_signals_together_have_failed():
     assert verdict.status == "failed" and verdict.reason.startswith("3 signals")
 
 
+def test_without_landmarks_fewer_doubts_are_allowed():
+    bounds = Bounds(together=5, together_unguided=2)
+    soft = {name: 1.01 * getattr(bounds, name)[0] for name in NAMES[:2]}
+    unguided = {name: value for name, value in GOOD.items() if not name.startswith("landmark")}
+    assert verdict_of({**GOOD, **soft}, bounds).status == "doubtful"
+    assert verdict_of({**unguided, **dict(list(soft.items())[:1])}, bounds).status == "doubtful"
+    verdict = verdict_of({**unguided, **soft}, bounds)
+    assert verdict.status == "failed" and verdict.reason.startswith("2 signals out of bounds and no landmarks")
+
+
 def test_signals_that_could_not_be_measured_are_not_judged():
     assert verdict_of({"s2m_mean_mm": 0.2}, Bounds()).status == "ok"
     with pytest.raises(ValueError, match="there are none"):
@@ -48,6 +58,8 @@ def test_bounds_out_of_order_are_refused():
         Bounds(misfit_share=(0.5, 0.1))
     with pytest.raises(ValueError, match="together"):
         Bounds(together=0)
+    with pytest.raises(ValueError, match="together_unguided"):
+        Bounds(together_unguided=0)
 
 
 def test_sessions_are_judged_no_less_sharply():

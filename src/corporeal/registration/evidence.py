@@ -91,6 +91,9 @@ class LandmarkFinder:
             if name in known
         }
         notes = [f"landmarks from {found.views_used} virtual views"]
+        if isinstance(found, BodyLandmarks):
+            seen = " and ".join(found.hands) or "neither"
+            notes.append(f"hands whose fingers were seen: {seen}")
         if set_name != self._subject.detector_sets[0]:
             notes.append("the model's joints stand in for the detector's landmarks: it was not calibrated")
         positions = {name: point for name, (point, _) in points.items()}

@@ -8,6 +8,9 @@ from dataclasses import dataclass, field
 
 from corporeal.registration.registration import Status
 
+_GUIDED = "landmark_median_mm"
+"""The signal that only a fit with landmarks has."""
+
 
 @dataclass(frozen=True)
 class Verdict:
@@ -48,6 +51,7 @@ class Bounds:
         landmark_median_mm: median distance from the landmarks that were found or given.
         landmark_p90_mm: its 90th percentile.
         together: so many signals beyond their first bound have failed.
+        together_unguided: so many where no landmarks speak for the fit.
     """
 
     s2m_mean_mm: tuple[float, float] = (1.0, 3.0)
@@ -71,6 +75,7 @@ class Bounds:
     landmark_median_mm: tuple[float, float] = (15.0, 50.0)
     landmark_p90_mm: tuple[float, float] = (40.0, 120.0)
     together: int = 6
+    together_unguided: int = 6
 
     @classmethod
     def for_sessions(cls) -> Bounds:
@@ -96,7 +101,8 @@ class Bounds:
         """For people: ten times as large, seen by coarser scanners, in hair and clothes that no model has.
 
         What was not seen has no second bound: of a head or a bust the rest of the body is guessed, which is
-        said (``doubtful``), and is no failure.
+        said (``doubtful``), and is no failure. Without landmarks that is all that may be said: a hand taken for
+        a person passes five first bounds and no second one, a head alone one.
         """
         return cls(
             s2m_mean_mm=(3.0, 12.0),
@@ -111,13 +117,14 @@ class Bounds:
             penetration_mm=(20.0, 80.0),
             landmark_median_mm=(40.0, 150.0),
             landmark_p90_mm=(100.0, 400.0),
+            together_unguided=3,
         )
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if name == "together":
+            if name.startswith("together"):
                 if value < 1:
-                    raise ValueError(f"bounds: together: expected at least 1, got {value}")
+                    raise ValueError(f"bounds: {name}: expected at least 1, got {value}")
             elif not 0 <= value[0] <= value[1]:
                 raise ValueError(f"bounds: {name}: expected doubtful <= failed, not negative, got {value}")
 
@@ -146,10 +153,10 @@ def verdict_of(signals: Mapping[str, float], bounds: Bounds) -> Verdict:
             doubtful.append(words)
     if failed:
         return Verdict("failed", "; ".join(failed), dict(signals))
-    if len(doubtful) >= bounds.together:
-        return Verdict(
-            "failed", f"{len(doubtful)} signals out of bounds: " + "; ".join(doubtful), dict(signals)
-        )
+    guided = _GUIDED in signals
+    if len(doubtful) >= (bounds.together if guided else bounds.together_unguided):
+        sentence = f"{len(doubtful)} signals out of bounds" + ("" if guided else " and no landmarks")
+        return Verdict("failed", f"{sentence}: " + "; ".join(doubtful), dict(signals))
     if doubtful:
         return Verdict("doubtful", "; ".join(doubtful), dict(signals))
     return Verdict("ok", "all signals within bounds", dict(signals))

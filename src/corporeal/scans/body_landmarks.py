@@ -25,7 +25,7 @@ _SIZE = 384
 _FILL = 0.85
 # A view agrees when half of its landmarks lie within this share of the picture.
 _TOLERANCE_COARSE, _TOLERANCE_FINE = 0.05, 0.03
-_COARSE_VIEWS, _FEWEST_COARSE = 6, 3
+_COARSE_VIEWS, _FEWEST_COARSE, _UPRIGHT = 6, 3, 0.5
 _FINE_VIEWS, _FINE_TILTS = 8, (-15.0, 20.0)
 _FEWEST_VIEWS = 4
 # Of the landmarks of the middle, not of one side: where these are upright the person is.
@@ -91,18 +91,20 @@ def find_body_landmarks(scan: Scan, bodies: BodyDetector, hands: HandDetector) -
         hands: detector of hands.
     """
     subject = Subject.of_scan(scan)
-    upright, coarse, tried = None, None, 0
+    upright, best, tried = None, (0, 0.0), 0
     for up in _upright_candidates(subject.outline):
         views = _seen(subject, ring(up, _COARSE_VIEWS, (0.0,)), up, bodies)
         tried += views.tried
         found = views.triangulated(_TOLERANCE_COARSE)
-        if found is None or found.agreeing.sum() < _FEWEST_COARSE or not _stands(found.points, up):
+        if found is None:
             continue
-        if coarse is None or found.agreeing.sum() > coarse.agreeing.sum():
-            upright, coarse = up, found
-        if found.agreeing.sum() >= _COARSE_VIEWS - 1:
+        agree, stands = int(found.agreeing.sum()), _stands(found.points, up)
+        if agree >= _FEWEST_COARSE and stands > 0 and (agree, stands) > best:
+            upright, best = up, (agree, stands)
+        # People who lie across the axis are seen as well, half as accurately.
+        if agree >= _COARSE_VIEWS - 1 and stands > _UPRIGHT:
             break
-    if coarse is None or upright is None:
+    if upright is None:
         return BodyLandmarks(False, f"the detector saw no person in {tried} views", views_tried=tried)
     directions = ring(upright, _FINE_VIEWS, tuple(np.deg2rad(_FINE_TILTS)))
     fine = _seen(subject, directions, upright, bodies)
@@ -124,8 +126,10 @@ def _upright_candidates(points: Float[np.ndarray, "N 3"]) -> Iterator[Float[np.n
     yield from (longest, -longest)
 
 
-def _stands(points: Float[np.ndarray, "33 3"], up: Float[np.ndarray, "3"]) -> bool:
-    return bool((points[_NOSE] - points[_HIPS].mean(0)) @ up > 0)
+def _stands(points: Float[np.ndarray, "33 3"], up: Float[np.ndarray, "3"]) -> float:
+    """Cosine between the trunk and what is taken for up."""
+    trunk = points[_NOSE] - points[_HIPS].mean(0)
+    return float(trunk @ up / max(float(np.linalg.norm(trunk)), 1e-9))
 
 
 def _seen(
