@@ -63,9 +63,12 @@ assets: $(VENV)/.demo
 	.venv-assets/bin/python assets/build_body.py --out build/body
 	$(BIN)/corporeal merge build/body/body.npz hand --name body --hand-pose full --most-joints 4 -o $(MODELS)/body.npz \
 		--precision float16
+	.venv-assets/bin/python assets/add_body_poses.py
+	$(BIN)/python assets/calibrate_body_detector.py
 	cp build/body/body_sexes.npz $(MODELS)/
 	.venv-assets/bin/python assets/demo/build_scan.py
 	.venv-assets/bin/python assets/hand_simulator/build.py
+	.venv-assets/bin/python assets/body_simulator/build.py
 
 $(VENV)/.demo: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)

@@ -19,6 +19,8 @@ from corporeal.terms.pose_subspace import pose_subspace
 # A scan says nothing of the eyes, and little of the jaw: single joints of the head stay near zero.
 _LONE_JOINT = 0.03
 _LIMIT = 0.1
+# lambda_theta_b was found for a spread of one radian about the mean; recorded poses spread by a third of it.
+_BODY_MIXTURE = 0.1
 # A direction in which the recorded poses hardly vary is not forbidden: 3 degrees about it stay cheap.
 _FLOOR = np.deg2rad(3.0)
 
@@ -50,8 +52,7 @@ def pose_terms(
         elif len(block.joints) == 1:
             terms.append(GaussianPrior.isotropic(f"{block.name} prior", where, block.mean, _LONE_JOINT))
         elif body_prior:
-            sigma = float(np.sqrt(annealing / options.weights.body_pose))
-            terms.append(GaussianPrior.isotropic(f"{block.name} prior", where, block.mean, sigma))
+            terms.append(_body_term(block, where, options.weights.body_pose / annealing))
         if block.limits is not None:
             terms.append(PoseLimits(f"{block.name} limits", where, block.limits, _LIMIT))
     if options.velocity and previous is not None:
@@ -91,6 +92,15 @@ def block_columns(block: PoseBlock, columns: ParameterColumns) -> slice:
         raise ValueError(f"pose block {block.name!r}: its joints must follow one another to be tracked")
     start = columns.pose.start + 3 * int(joints[0])
     return slice(start, start + 3 * len(joints))
+
+
+def _body_term(block: PoseBlock, where: slice, weight: float) -> Term:
+    """The recorded poses where they are known, or a pull to the mean pose."""
+    name, found = f"{block.name} prior", block.mixture
+    if found is None:
+        return GaussianPrior.isotropic(name, where, block.mean, float(np.sqrt(1 / weight)))
+    covariances = found.covariances + _FLOOR**2 * np.eye(len(block.mean))
+    return MixturePrior(name, where, found.weights, found.means, covariances, weight=_BODY_MIXTURE * weight)
 
 
 def _hand_terms(block: PoseBlock, where: slice, options: TrackingOptions, weight: float) -> list[Term]:
