@@ -2,20 +2,20 @@
 
     python benchmarks/tracking.py SEQUENCES TRACKED [--every N] [--json FILE]
 
-SEQUENCES is what ``corporeal simulate SEQUENCES --body`` wrote, TRACKED what ``corporeal track`` did with it. Per
-sequence and over all frames:
+SEQUENCES is what ``corporeal simulate SEQUENCES --body`` wrote, TRACKED what ``corporeal track`` did with it.
+Per sequence and over all frames:
 
-body      distance of the template's ``placed`` vertices from their true places, mean, mm; frames that failed are
-          left out, and counted as failed
+body      distance of the template's ``placed`` vertices from their true places, mean, mm; frames that failed
+          are left out, and counted as failed
 hands     the same of the vertices that the scanner saw on hands that are not missing (nor their forearm)
 whole     the same of all placed vertices of those hands, seen or not
 gone      the same of all placed vertices of missing hands: how far a guess is off
 s2m       scan to model, mean, mm
-turn      the largest turn of a finger joint from one frame to the next, degrees: the angle of R_before^T R_now
+turn      the largest turn of a finger joint to the next frame, degrees: the angle of R_before^T R_now
 back      frames until a hand that was missing is well again, the longest: the first frame after its return in
-          which the distance of its placed vertices is at most 1.5 times its mean (over frames in which it is
-          visible, but not within ten after a return) counts as 0, 1, ...; "never" where the sequence ends, or
-          the next loss begins, before
+          which the distance of its placed vertices is at most 1.5 times its mean (over frames in which it
+          is visible, but not within ten after a return) counts as 0, 1, ...; "never" where the sequence
+          ends, or the next loss begins, before
 s/frame   mean time of a frame, reading included; the template's is not in it
 
 Distances are taken in every N-th frame; turns in all; recovery in all that follow a return.

@@ -141,6 +141,23 @@ def save_subject_template(folder: Path, template: SubjectTemplate, story: Mappin
         "start_translation": template.start_translation.tolist(),
         **story,
     }
+    _write_story(folder, content)
+
+
+def update_story(folder: Path, keys: Mapping[str, Any]) -> None:
+    """Replace keys of ``template.json``.
+
+    Raises:
+        TrackFileError: there is none, or it cannot be read.
+        OSError: it cannot be written.
+    """
+    story = read_story(folder)
+    if story is None:
+        raise TrackFileError(f"{folder}: holds no {TEMPLATE_STORY}")
+    _write_story(folder, {**story, **keys})
+
+
+def _write_story(folder: Path, content: Mapping[str, Any]) -> None:
     write_bytes(folder / TEMPLATE_STORY, (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
 
 
