@@ -165,6 +165,8 @@ def _add_distances(
 
 def _add_turns(score: Score, truth: Truth, records: list[FrameRecord]) -> None:
     for before, now in pairwise(records):
+        if not before.state.fitted:
+            continue  # it stands as the registration left it: nothing has been tracked yet
         turns = turns_degrees(before.frame.pose[truth.fingers], now.frame.pose[truth.fingers])
         if turns.max() > score.turn:
             score.turn = float(turns.max())

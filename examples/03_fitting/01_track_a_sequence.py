@@ -1,6 +1,6 @@
 """Track a sequence from Python: what ``corporeal track`` does with folders of scans, frame by frame.
 
-The sequence is made here, so that it runs anywhere: a hand of one shape that closes, and a frame is missing. A
+The sequence is made here, so that it runs anywhere: a hand of one shape that closes, one frame missing. A
 body is tracked by the same lines, with ``open_model("body")`` and a registration of its first frame as start.
 """
 

@@ -16,7 +16,7 @@ FPS = 30.0
 
 
 def make_sequence(folder: Path, count: int, name: str = "open-hand") -> Path:
-    """Writes FOLDER (sequence.json, scans in mm, truth.npz), and beside it template.npz and start.npz."""
+    """Writes FOLDER (sequence.json, scans in mm, truth.npz), and beside it template.npz and the start."""
     hand = open_model("hand")
     shape = np.array([0.8, -0.6, 0.4])
     personal = personal_model(hand, hand.template + hand.shape_directions[:, :, :3] @ shape)
@@ -34,6 +34,7 @@ def make_sequence(folder: Path, count: int, name: str = "open-hand") -> Path:
         frames.append({"name": f"{number:04d}", "file": file})
         if number == 0:
             write_start(folder.parent / "start.npz", hand, personal, pose, place)
+    write_start(folder.parent / "body_start.npz", hand, personal, np.zeros((55, 3)), np.zeros(3))
     write_list(folder, name, frames)
     np.save(folder / "truth.npy", np.array(truth))
     save_model(personal, folder.parent / "template.npz")
@@ -46,8 +47,8 @@ def write_list(folder: Path, name: str, frames: list[dict[str, str]]) -> None:
 
 
 def write_start(path: Path, hand, personal, pose, place) -> None:
-    """A registration.npz of a frame."""
-    vertices = evaluate(personal, np.zeros(0), pose, place).vertices
+    """A registration.npz of a frame; nobody looks at its vertices."""
+    vertices = personal.template
     np.savez(
         path, vertices=vertices, model_vertices=vertices, faces=hand.faces, pose=pose, shape=np.zeros(0),
         translation=place, side="right", landmark_names=np.array([], dtype=np.str_),

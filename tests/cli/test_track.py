@@ -23,7 +23,7 @@ from corporeal.model.jacobian import evaluate
 from corporeal.registration.session.jobs import News
 from corporeal.scans.files import read_scan
 
-COUNT = 6
+COUNT = 5
 _PATH = Path(__file__).with_name("made_sequence.py")
 _SPEC = importlib.util.spec_from_file_location("made_sequence", _PATH)
 made = importlib.util.module_from_spec(_SPEC)
@@ -36,10 +36,8 @@ def sequence(tmp_path_factory):
     return made.make_sequence(tmp_path_factory.mktemp("capture") / "seq", COUNT)
 
 
-@pytest.fixture
-def here(monkeypatch):
-    """Jobs run in this process: starting another takes longer than they do. Gives the news that were told."""
-    news = []
+def _in_this_process(news):
+    """Runs jobs: starting another process takes longer than they do. News go to the list too."""
 
     def execute(setup, jobs, workers, lost):
         worker = setup.start()
@@ -53,7 +51,14 @@ def here(monkeypatch):
             news.extend(told)
             yield job, outcome
 
-    monkeypatch.setattr(import_module("corporeal.cli.track"), "run_local", execute)
+    return execute
+
+
+@pytest.fixture
+def here(monkeypatch):
+    """Jobs run in this process. Gives the news that were told."""
+    news = []
+    monkeypatch.setattr(import_module("corporeal.cli.track"), "run_local", _in_this_process(news))
     return news
 
 
@@ -65,9 +70,11 @@ def _call(sequence, output, *arguments):
 
 @pytest.fixture(scope="module")
 def tracked(sequence, tmp_path_factory):
-    """Tracked without interruption by a worker of the pool."""
+    """Tracked without interruption."""
     output = tmp_path_factory.mktemp("tracked")
-    assert main(_call(sequence, output / "out", "--meshes", "--json", str(output / "all.json"))) == 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(import_module("corporeal.cli.track"), "run_local", _in_this_process([]))
+        assert main(_call(sequence, output / "out", "--meshes", "--json", str(output / "all.json"))) == 0
     return output
 
 
@@ -153,17 +160,19 @@ def test_broken_frames_cost_themselves_only(sequence, here, tmp_path, capsys):
     (scans / "0004.ply").write_bytes(nan.tobytes())
     assert main(_call(copy, tmp_path / "out")) == 0
     items = json.loads((tmp_path / "out" / "open-hand" / "report.json").read_text())["items"]
-    assert [item["status"] for item in items] == ["failed", "ok", "failed", "failed", "failed", "ok"]
+    assert [item["status"] for item in items] == ["failed", "ok", "failed", "failed", "failed"]
     for number, words in ((0, "empty"), (2, "cannot be read"), (3, "0003.ply"), (4, "0004.ply")):
         assert words in items[number]["reason"] and items[number]["s2m_mm"] is None
     said = capsys.readouterr().err
-    assert "2 ok, 0 doubtful, 4 failed" in said and str(tmp_path / "out") in said
+    assert "1 ok, 0 doubtful, 4 failed" in said and str(tmp_path / "out") in said
     assert here[-1] == {"step": "writing sheet.png"}
+    with np.load(tmp_path / "out" / "open-hand" / "track.npz", allow_pickle=False) as motion:
+        assert (motion["poses"] == motion["poses"][1]).all()
     # A frame that comes back is tracked, and all behind it again.
     shutil.copy(sequence / "scans" / "0003.ply", scans / "0003.ply")
     assert main(_call(copy, tmp_path / "out")) == 0
     items = json.loads((tmp_path / "out" / "open-hand" / "report.json").read_text())["items"]
-    assert [item["status"] for item in items] == ["failed", "ok", "failed", "ok", "failed", "ok"]
+    assert [item["status"] for item in items] == ["failed", "ok", "failed", "ok", "failed"]
     assert "0003.ply has changed since" in capsys.readouterr().err
 
 
@@ -179,7 +188,9 @@ def test_a_sequence_that_cannot_be_tracked_costs_one_item(sequence, here, tmp_pa
     assert "empty: failed - no frame can be read" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on_to_the_same_bits(sequence, tracked, here, tmp_path):
+    """Killed on the pool, which leaves its worker an orphan; resumed here."""
     folder = tmp_path / "out" / "open-hand"
     environment = {**os.environ, "OMP_WAIT_POLICY": "PASSIVE"}
     command = [
@@ -213,7 +224,7 @@ def test_frames_can_be_added_and_a_damaged_record_is_made_again(sequence, tracke
     record.write_bytes(record.read_bytes()[:200])
     assert main(_call(sequence, tmp_path / "out")) == 0
     said = capsys.readouterr().err
-    assert "3 frames were added" in said and "the record of 0002 was damaged" in said
+    assert "2 frames were added" in said and "the record of 0002 was damaged" in said
     _assert_same(_arrays(folder), _arrays(tracked / "out" / "open-hand"))
     assert main(_call(sequence, tmp_path / "out", "--frames", "3")) == 2
     assert "frame 3: 0003" in capsys.readouterr().err
@@ -235,21 +246,21 @@ def test_results_of_something_else_are_refused_until_restart(sequence, tracked, 
 
 
 def test_a_template_is_learned_and_kept(sequence, here, tmp_path, capsys):
-    start = ["--model", "hand", "--start", str(sequence.parent / "start.npz"), "--template-frames", "2"]
+    start = ["--model", "hand", "--start", str(sequence.parent / "start.npz"), "--template-frames", "1"]
     copy = _copied(sequence, tmp_path / "capture")
     (copy / "scans" / "0000.ply").write_bytes(b"ply")
     call = ["track", str(copy), "-o", str(tmp_path / "out"), *start]
-    assert main([*call, "--frames", "4"]) == 0
+    assert main([*call, "--frames", "2"]) == 0
     folder = tmp_path / "out" / "open-hand"
     report = json.loads((folder / "report.json").read_text())
-    assert report["template"]["used"] == ["0001", "0002"] and "0000" in report["template"]["rejected"]
+    assert report["template"]["used"] == ["0001"] and "0000" in report["template"]["rejected"]
     assert report["template"]["start"]["frame"] == "0001"
     written = (folder / "template.npz").stat().st_mtime_ns
-    assert main([*call, "--frames", "4"]) == 0
+    assert main([*call, "--frames", "2"]) == 0
     assert (folder / "template.npz").stat().st_mtime_ns == written
-    shutil.copy(sequence / "scans" / "0005.ply", copy / "scans" / "0002.ply")
-    assert main([*call, "--frames", "4"]) == 2
-    assert "0002.ply, which the template was learned from" in capsys.readouterr().err
+    shutil.copy(sequence / "scans" / "0004.ply", copy / "scans" / "0001.ply")
+    assert main([*call, "--frames", "2"]) == 2
+    assert "0001.ply, which the template was learned from" in capsys.readouterr().err
 
 
 def test_json_goes_to_the_standard_output_and_a_plain_folder_is_a_sequence(sequence, here, tmp_path, capsys):
@@ -275,7 +286,7 @@ def test_json_goes_to_the_standard_output_and_a_plain_folder_is_a_sequence(seque
         (["{seq}", "--template", "x.npz", "--template-frames", "3"], "--template-frames"),
         (["{seq}", "--template", "x.npz", "--model", "hand"], "--model: with --template"),
         (["{seq}", "--template", "x.npz"], "--template x.npz"),
-        (["{seq}", "--start", "{seq}/../start.npz"], "has 16 joints, the model 55"),
+        (["{seq}", "--model", "hand", "--start", "{seq}/../body_start.npz"], "has 55 joints, the model 16"),
         (["{seq}", "{seq}", "--start", "s.npz"], "--start goes with one sequence"),
     ],
 )

@@ -142,7 +142,11 @@ def _start_notes(start: Mapping[str, Any]) -> list[str]:
 
 
 def _moved(frames: list[TrackedFrame]) -> tuple[np.ndarray, np.ndarray]:
-    return np.array([frame.pose for frame in frames]), np.array([frame.translation for frame in frames])
+    """Poses and translations; frames that failed before the first good one stand as that one does."""
+    good = (number for number, frame in enumerate(frames) if frame.status != "failed")
+    first = next(good, 0)
+    shown = [frames[first]] * first + frames[first:]
+    return np.array([frame.pose for frame in shown]), np.array([frame.translation for frame in shown])
 
 
 def _write_motion(
