@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 
 from corporeal.cli.main import main
 from corporeal.export.gltf_check import GlbFile
-from corporeal.fitting.files import load_subject_template, read_frame
+from corporeal.fitting.files import load_subject_template, read_frame, read_story
 from corporeal.model.jacobian import evaluate
 from corporeal.registration.session.jobs import News
 from corporeal.scans.files import read_scan
@@ -273,6 +273,7 @@ def test_json_goes_to_the_standard_output_and_a_plain_folder_is_a_sequence(seque
     captured = capsys.readouterr()
     result = json.loads(captured.out)
     assert [item["frame"] for item in result["items"]] == ["f9", "f10"]
+    assert read_story(tmp_path / "out" / "plain")["unit"] == "mm"
     assert "no sequence.json" in captured.err and "no sequence.json" in result["sequences"][0]["notes"][0]
 
 

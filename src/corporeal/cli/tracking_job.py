@@ -14,7 +14,7 @@ from typing import Any
 import numba
 import torch
 
-from corporeal.cli.tracking_folder import remove_leftovers, resumed, waiting_lock
+from corporeal.cli.tracking_folder import SHEET, remove_leftovers, resumed, waiting_lock
 from corporeal.cli.tracking_outputs import failed_outcome, write_outputs
 from corporeal.cli.tracking_start import (
     SequenceError,
@@ -42,6 +42,7 @@ from corporeal.registration.session.files import SessionFolderError
 from corporeal.registration.session.jobs import WorkerError
 from corporeal.scans.formats.sequence import ScanSequence, SequenceFrame
 from corporeal.scans.scan import Scan
+from corporeal.scans.units import UnitChoice
 from corporeal.terms.model_fields import ModelParameters
 
 
@@ -132,23 +133,24 @@ class SequenceWorker:
             return failed_outcome(job.sequence, job.folder, _internal(error))
 
     def _tracked(self, job: SequenceJob) -> dict[str, Any]:
-        template = self._template(job)
-        done = resumed(job.folder, job.sequence)
+        template, unit = self._template(job)
+        sequence = dataclasses.replace(job.sequence, unit=unit)
+        done = resumed(job.folder, sequence)
         for sentence in done.notes:
             self.tell({"note": sentence})
         tracker, statuses = Tracker(template, job.options, done.state), Counter(done.statuses)
         self._told(done.count, statuses)
-        for number, frame in enumerate(job.sequence.frames[done.count :], start=done.count + 1):
-            record = self._frame(tracker, frame, job)
+        for number, frame in enumerate(sequence.frames[done.count :], start=done.count + 1):
+            record = self._frame(tracker, frame, unit)
             write_frame(frame_path(job.folder, frame.name), record)
             statuses[record.frame.status] += 1
             self._told(number, statuses)
         self._step("writing")
-        return write_outputs(job.sequence, job.folder, template, self._setup.meshes, self._step)
+        return write_outputs(sequence, job.folder, template, self._setup.meshes, self._step)
 
-    def _frame(self, tracker: Tracker, frame: SequenceFrame, job: SequenceJob) -> FrameRecord:
+    def _frame(self, tracker: Tracker, frame: SequenceFrame, unit: UnitChoice) -> FrameRecord:
         begun = time.perf_counter()
-        read = read_frame_scan(frame, self._setup.model, job.sequence.unit)
+        read = read_frame_scan(frame, self._setup.model, unit)
         reading = time.perf_counter() - begun
         found = _stepped(tracker, frame.name, read.scan, read.reason)
         seconds = {**found.seconds, "read": reading, "total": reading + found.seconds["total"]}
@@ -156,27 +158,32 @@ class SequenceWorker:
             dataclasses.replace(found, seconds=seconds), tracker.state, read.sha256, read.stamp
         )  # fmt: skip
 
-    def _template(self, job: SequenceJob) -> SubjectTemplate:
-        """The subject's template: an earlier run's, else a new one, always as the disk has it."""
+    def _template(self, job: SequenceJob) -> tuple[SubjectTemplate, UnitChoice]:
+        """The subject's template: an earlier run's, else a new one, always as the disk has it; the unit."""
         story = read_story(job.folder)
         if story is None:
-            self._make_template(job)
+            story = self._make_template(job)
         elif story["made_from"] != job.made_from:
             # Frames were added: all else would have been refused.
             update_story(job.folder, {"made_from": job.made_from})
-        return load_subject_template(job.folder)
+        return load_subject_template(job.folder), story["unit"]
 
-    def _make_template(self, job: SequenceJob) -> None:
+    def _make_template(self, job: SequenceJob) -> dict[str, Any]:
         setup, begun = self._setup, time.perf_counter()
         start = first_frame(job.sequence, setup.model, job.options, setup.known_start, self._step)
         registered = time.perf_counter()
+        if start.story.get("status") == "doubtful":
+            where = f"{start.story['frame']}, where it starts, was registered doubtfully"
+            self.tell({"note": f"{where}: {start.story['reason']}; look at {SHEET}"})
+        sequence = dataclasses.replace(job.sequence, unit=start.unit)
         scans: dict[str, Any] = {}
         if setup.personal:
             template = given_template(setup.model, start)
         else:
-            template, scans = learned_template(job.sequence, setup.model, job.options, start, self._step)
+            template, scans = learned_template(sequence, setup.model, job.options, start, self._step)
         ended = time.perf_counter()
-        story = {
+        story: dict[str, Any] = {
+            "unit": start.unit,
             "made_from": dict(job.made_from),
             "learned": not setup.personal,
             "start": start.story,
@@ -184,6 +191,7 @@ class SequenceWorker:
             "seconds": {"registration": registered - begun, "template": ended - registered},
         }
         save_subject_template(job.folder, template, story)
+        return story
 
     def _step(self, words: str) -> None:
         self.tell({"step": words})

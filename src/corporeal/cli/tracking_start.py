@@ -51,12 +51,14 @@ class SequenceStart:
     Attributes:
         index: of the frame.
         parameters: of the person in it.
+        unit: of its file: that of all others, which may be too broken to tell.
         story: how they were found, of JSON's types.
         skipped: name -> why an earlier frame could not be the first.
     """
 
     index: int
     parameters: ModelParameters
+    unit: UnitChoice
     story: dict[str, Any]
     skipped: dict[str, str] = field(default_factory=dict)
 
@@ -98,7 +100,8 @@ def first_frame(
                 skipped[frame.name] = read.reason or f"too few points: {len(scan.points) if scan else 0}"
                 continue
             if start is not None:
-                return SequenceStart(index, start, {"frame": frame.name, "given": True}, skipped)
+                story = {"frame": frame.name, "given": True}
+                return SequenceStart(index, start, scan.unit.name, story, skipped)
             found = _registered(frame.name, scan, model, finder, on_step)
             if isinstance(found, SequenceStart):
                 return dataclasses.replace(found, index=index, skipped=skipped)
@@ -136,7 +139,7 @@ def _registered(
         "s2m_mm": result.distances.summary_mm()["mean"],
         "seconds": time.perf_counter() - begun,
     }
-    return SequenceStart(0, result.parameters, story)
+    return SequenceStart(0, result.parameters, scan.unit.name, story)
 
 
 def given_template(model: SurfaceModel, start: SequenceStart) -> SubjectTemplate:
