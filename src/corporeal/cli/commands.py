@@ -159,6 +159,42 @@ class Simulate:
 
 
 @dataclass(frozen=True)
+class Track:
+    """Track people through sequences of scans: a personal template first, then the pose of every frame.
+
+    No landmarks to place, no options needed. What is done is kept: the same command goes on where it stopped.
+
+    Attributes:
+        sequences: folders with a sequence.json, or folders of scan files, one file per frame.
+        output: folder that gets one folder of results per sequence.
+        model: "body" for the open body in the box, or a model file.
+        workers: sequences tracked at the same time; as many as there are cores if not given.
+        dask: track on dask.distributed: a scheduler's address, or local.
+        meshes: write a mesh per frame too.
+        restart: throw away what the output folder holds of these sequences, and begin anew.
+        json: also write the machine-readable result to this file; - for the standard output.
+        template: the subject's own model (template.npz of an earlier run): none is learned then.
+        template_frames: frames that the template is learned from, at most; 50 if not given.
+        frames: track so many frames of every sequence; all if not given.
+        start: registration.npz of the first frame of the one sequence (of corporeal register, for instance
+            with landmarks); then no detector is asked.
+    """
+
+    sequences: tyro.conf.Positional[tuple[Path, ...]]
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    model: str = "body"
+    workers: int | None = None
+    dask: str | None = None
+    meshes: bool = False
+    restart: bool = False
+    json: Path | None = None
+    template: Path | None = None
+    template_frames: int | None = None
+    frames: int | None = None
+    start: Path | None = None
+
+
+@dataclass(frozen=True)
 class Curate:
     """Curate a registered session in the browser, on this machine only.
 

@@ -20,6 +20,7 @@ from corporeal.cli.commands import (
     Register,
     Report,
     Simulate,
+    Track,
 )
 from corporeal.cli.errors import CommandError
 
@@ -34,6 +35,7 @@ Command = (
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Merge, tyro.conf.subcommand("merge")]
     | Annotated[Report, tyro.conf.subcommand("report")]
+    | Annotated[Track, tyro.conf.subcommand("track")]
 )
 
 

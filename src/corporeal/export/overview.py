@@ -23,7 +23,7 @@ _FIELD_OF_VIEW = np.radians(20)
 _MARGIN, _HEADER, _BAR = 14, 84, 92
 _PAPER, _FIELD, _INK, _FAINT = (250, 250, 249), (0.945, 0.945, 0.94), (38, 40, 44), (120, 122, 126)
 _SCAN, _MODEL, _REGISTRATION = (0.86, 0.82, 0.77), (0.62, 0.73, 0.86), (0.93, 0.74, 0.63)
-_LARGEST_ERROR_MM = 3.0
+LARGEST_ERROR_MM = 3.0
 _UNSCORED = (0.74, 0.74, 0.74)
 # From no error to the largest, evenly spaced: dark blue, blue, pale green, yellow, orange, dark red.
 _SCALE = np.array(
@@ -92,7 +92,7 @@ def write_overview(path: Path | str, overview: Overview) -> None:
 
 def error_colours(errors_mm: Float[np.ndarray, " N"]) -> Float[np.ndarray, "N 3"]:
     """Colours 0..1 of errors: dark blue at 0, yellow near 2, dark red at 3 mm and beyond, grey for NaN."""
-    places = np.clip(errors_mm / _LARGEST_ERROR_MM, 0, 1) * (len(_SCALE) - 1)
+    places = np.clip(errors_mm / LARGEST_ERROR_MM, 0, 1) * (len(_SCALE) - 1)
     known = np.isfinite(places)
     colours = np.empty((len(errors_mm), 3))
     colours[:] = _UNSCORED
@@ -165,13 +165,13 @@ def _draw_scale(page: Image.Image, left: int, top: int, height: int) -> None:
     """The bar of error colours, 0 at the bottom."""
     draw = ImageDraw.Draw(page)
     first, tall, wide = top + 30, min(height - 90, 360), 18
-    errors = np.linspace(_LARGEST_ERROR_MM, 0, tall)
+    errors = np.linspace(LARGEST_ERROR_MM, 0, tall)
     strip = (error_colours(errors) * 255 + 0.5).astype(np.uint8)
     page.paste(Image.fromarray(np.repeat(strip[:, None], wide, axis=1)), (left, first))
     draw.text((left, top + 4), "mm", _INK, _font(14))
-    for error in range(int(_LARGEST_ERROR_MM) + 1):
-        at = first + (tall - 1) * (1 - error / _LARGEST_ERROR_MM)
-        beyond = "+" if error == int(_LARGEST_ERROR_MM) else ""
+    for error in range(int(LARGEST_ERROR_MM) + 1):
+        at = first + (tall - 1) * (1 - error / LARGEST_ERROR_MM)
+        beyond = "+" if error == int(LARGEST_ERROR_MM) else ""
         draw.line((left + wide, at, left + wide + 5, at), _FAINT)
         draw.text((left + wide + 9, at), f"{error}{beyond}", _INK, _font(14), anchor="lm")
     grey = tuple(int(255 * part) for part in _UNSCORED)
