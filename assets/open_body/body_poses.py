@@ -1,8 +1,8 @@
 """Statistics of the body's 63 pose numbers from recorded motion: mixture and limits.
 
-Three people were recorded. What they did is widened by what joints can do: every number varies by a share of its
-anatomical range beside what was recorded, left and right are the same, and the stances that people take for
-a scanner are counted in.
+Three people were recorded. What they did is widened by what joints can do: every number varies by a share of
+its anatomical range beside what was recorded, left and right are the same, and the stances that people take
+for a scanner are counted in.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from corporeal.model.statistics import PoseBlock, PoseMixture
 from .recorded_motion import JOINTS, Clip
 
 COMPONENTS = 8
-# Share of a number's anatomical range that is added as a standard deviation: of 0, 2, 4, ... 16 % the one with
-# which two subjects' poses predict the third's best (``add_body_poses.py --choose`` prints the table).
+# Share of a number's anatomical range that is added as a standard deviation: of 0, 2, 4, ... 16 % the one
+# with which two subjects' poses predict the third's best (``add_body_poses.py --choose`` prints the table).
 WIDENED = 0.12
 _LIKE = np.deg2rad(6.0)
 _EVERY = 6
@@ -30,7 +30,7 @@ _MARGIN = np.deg2rad(3.0)
 
 
 def body_poses(clips: list[Clip], seed: int) -> np.ndarray:
-    """(N, 63) different poses (of which no two are nearer than 6 degrees, root mean square) and mirrored ones."""
+    """(N, 63) different poses (no two nearer than 6 degrees, root mean square) and mirrored ones."""
     poses = np.concatenate([clip.pose[::_EVERY, 1:].reshape(-1, 63) for clip in clips])
     poses = poses[np.random.default_rng(seed).permutation(len(poses))]
     kept = np.empty_like(poses)
@@ -51,7 +51,7 @@ def mirrored_poses(poses: np.ndarray) -> np.ndarray:
 
 
 def widened_limits(limits: np.ndarray, poses: np.ndarray) -> np.ndarray:
-    """(63, 2) limits that hold the recorded poses too: ranges about one axis say little of two turns at once."""
+    """(63, 2) limits that hold the recorded poses too: ranges about one axis say little of two at once."""
     low, high = np.quantile(poses, [_OUTERMOST, 1 - _OUTERMOST], axis=0)
     return np.stack(
         [np.minimum(limits[:, 0], low - _MARGIN), np.maximum(limits[:, 1], high + _MARGIN)], axis=1

@@ -42,7 +42,9 @@ def test_without_landmarks_fewer_doubts_are_allowed():
     assert verdict_of({**GOOD, **soft}, bounds).status == "doubtful"
     assert verdict_of({**unguided, **dict(list(soft.items())[:1])}, bounds).status == "doubtful"
     verdict = verdict_of({**unguided, **soft}, bounds)
-    assert verdict.status == "failed" and verdict.reason.startswith("2 signals out of bounds and no landmarks")
+    assert verdict.status == "failed" and verdict.reason.startswith(
+        "2 signals out of bounds and no landmarks"
+    )
 
 
 def test_signals_that_could_not_be_measured_are_not_judged():

@@ -101,8 +101,8 @@ class Bounds:
         """For people: ten times as large, seen by coarser scanners, in hair and clothes that no model has.
 
         What was not seen has no second bound: of a head or a bust the rest of the body is guessed, which is
-        said (``doubtful``), and is no failure. Without landmarks that is all that may be said: a hand taken for
-        a person passes five first bounds and no second one, a head alone one.
+        said (``doubtful``), and is no failure. Without landmarks that is all that may be said: a hand taken
+        for a person passes five first bounds and no second one, a head alone one.
         """
         return cls(
             s2m_mean_mm=(3.0, 12.0),
