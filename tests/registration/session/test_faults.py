@@ -35,7 +35,7 @@ def test_killed_ten_times_it_ends_with_the_same_bytes(make_session, start, finis
 
 def test_stopped_by_ctrl_c_it_goes_on(make_session, start, finish, results, tmp_path):
     session = make_session()
-    process = start(session, tmp_path / "reg", 2, "local-pool", 1, 30)
+    process = start(session, tmp_path / "reg", 2, "local-pool", 1, 200)
     process.stdout.readline()
     process.send_signal(signal.SIGINT)
     said, _ = process.communicate(timeout=30)
