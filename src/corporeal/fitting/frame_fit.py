@@ -27,7 +27,7 @@ from corporeal.terms.surface_to_scan import ScanSurface, SurfaceToScan
 # Curvature along the surface as a share of that across it, as in registration.
 _TANGENTIAL = 0.1
 # Equation 13: the share of the way back from the model to the scan.
-_BACK_SHARE = 0.1
+_BACK_SHARE = 0.3
 _SURFACE_POINTS = 12_000
 
 
@@ -40,12 +40,16 @@ class FrameStart:
         previous: pose of the last good frame for the zero-velocity term, or None.
         first: whether the body's prior and, with ``back``, distances both ways are wanted.
         back: the scan's surface, for the first frame of a subject, or None.
+        shape: (s,) that of the frames before, ``shapes`` of them, for the prior of equation 12; or None.
+        shapes: how many frames have told the shape.
     """
 
     vector: Float[np.ndarray, " Q"]
     previous: Float[np.ndarray, "K 3"] | None = None
     first: bool = False
     back: ScanSurface | None = None
+    shape: Float[np.ndarray, " s"] | None = None
+    shapes: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +69,7 @@ class FrameFitter:
         self.fields = ModelFields(model, shape_count=shape_count)
         self.surface = MovingSurface(model.template, model.faces)
         self.hands = HandFaces.of_model(model)
-        self._any_hand = self.hands.any_hand(len(model.faces))
+        self.on_hands = self.hands.any_hand(len(model.faces))
         self._subspace = tracking_subspace(model, self.fields.columns, options)
 
     def fit(self, points: FramePoints, start: FrameStart, steps: tuple[AnnealingStep, ...]) -> Solution:
@@ -109,18 +113,20 @@ class FrameFitter:
         sigma = float(1 / np.sqrt(step.weight * weights.data))
         distance = DistanceOptions(sigma, step.robust_scale, _TANGENTIAL, cosine)
         closest = self.surface.closest(self.fields.evaluated(vector).vertices, points.positions, None)
-        near, shares = chosen_points(points, closest, self._any_hand, options)
+        near, shares = chosen_points(points, closest, self.on_hands, options)
         terms: list[Term] = [
             ScanToSurface("scan", MODEL, self.surface, near.positions, shares, near.normals, distance)
         ]
         if start.back is not None:
             share = _BACK_SHARE * float(shares.sum()) / self.model.vertex_count
             back = np.full(self.model.vertex_count, share)
-            terms.append(SurfaceToScan("back", MODEL, self.surface, start.back, back, distance))
+            terms.append(SurfaceToScan("back", MODEL, self.surface, start.back, back, distance, outside=True))
         size = columns.shape.stop - columns.shape.start
         if size:
-            spread = float(1 / np.sqrt(weights.shape))
-            terms.append(GaussianPrior.isotropic("shape prior", columns.shape, np.zeros(size), spread))
+            # A person has one shape: each frame is held to the mean of those before, the more there are the more.
+            spread = float(1 / np.sqrt(weights.shape * (1 + start.shapes) ** 2))
+            middle = np.zeros(size) if start.shape is None else start.shape
+            terms.append(GaussianPrior.isotropic("shape prior", columns.shape, middle, spread))
         return terms + pose_terms(
             self.model, columns, options, step.weight, previous=start.previous, body_prior=start.first
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from corporeal.fitting.frame_data import FramePoints
 from corporeal.fitting.options import TrackingOptions
@@ -28,11 +28,19 @@ def coupled_vertices(
     surface: MovingSurface,
     points: FramePoints,
     options: TrackingOptions,
+    held: Bool[np.ndarray, " F"],
 ) -> Float[np.ndarray, "V 3"]:
-    """Vertices that follow the scan and keep the model's edges where there is none.
+    """Vertices that follow the scan and keep the model's edges where there is none, or where they are held.
 
     The energy is minimised over the vertices with the pose held; poses are solved for apart. With 18,056
     vertices the arrow system of both together would take its 190 right-hand sides at every step.
+
+    Args:
+        model_vertices: of the posed model, metres.
+        surface: its topology.
+        points: of the scan.
+        options: of tracking.
+        held: faces that do not follow the scan: of hands, whose scans are webs between fingers.
 
     Raises:
         ArithmeticError: the system is singular.
@@ -52,9 +60,10 @@ def coupled_vertices(
     )
     sigma = float(1 / np.sqrt(_ANNEALING * weights.data))
     cosine = -1.0 if points.normals is None else options.minimum_cosine
-    ones = np.ones(len(points.positions))
+    closest = surface.closest(model_vertices, points.positions, None)
+    shares = np.where(held[closest.faces], 0.0, 1.0)
     distance = DistanceOptions(sigma, _ROBUST, 1.0, cosine)
-    data = ScanToSurface("scan", FREE, surface, points.positions, ones, points.normals, distance)
+    data = ScanToSurface("scan", FREE, surface, points.positions, shares, points.normals, distance)
     vertices = model_vertices.copy()
     for _ in range(_PASSES):
         fields = {FREE: vertices, MODEL: model_vertices}

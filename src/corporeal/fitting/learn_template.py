@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 
 import numpy as np
@@ -12,7 +12,7 @@ from jaxtyping import Float
 from corporeal.fitting.frame_data import frame_points
 from corporeal.fitting.frame_fit import FrameFitter, FrameStart, scan_surface
 from corporeal.fitting.free_vertices import coupled_vertices
-from corporeal.fitting.options import TrackingOptions
+from corporeal.fitting.options import HandPose, TrackingOptions
 from corporeal.fitting.subject_template import SubjectTemplate, personal_model
 from corporeal.fitting.track import judged
 from corporeal.fitting.unposing import unposed
@@ -57,21 +57,23 @@ def learn_subject_template(
     """
     options = options or TrackingOptions()
     plain = model.replace(expression_directions=np.zeros((model.vertex_count, 3, 0)))
-    fitter = FrameFitter(plain, options, shape_count=min(options.shape_count, plain.shape_count))
+    # Six components do not reach every fist, and what the pose cannot say the template would.
+    hands: HandPose = "flat" if options.hands == "flat" else "full"
+    fitter = FrameFitter(plain, replace(options, hands=hands), shape_count=min(options.shape_count, plain.shape_count))
     aligned: list[_Aligned] = []
     rejected: dict[str, str] = {}
-    vector, first = _started(fitter, start), True
+    vector = _started(fitter, start)
     for name, scan in islice(frames, options.template_frames):
         if on_step is not None:
             on_step(name)
         if scan is None or len(scan.points) < options.bounds.fewest_points:
             rejected[name] = "no scan, or too few points"
             continue
-        found, reason = _aligned(fitter, scan, name, vector, first)
+        found, reason = _aligned(fitter, scan, name, vector, [one.parameters.shape for one in aligned])
         if found is None:
             rejected[name] = reason
             continue
-        vector, first = found.parameters.vector(), False
+        vector = found.parameters.vector()
         aligned.append(found)
     return _averaged(model, aligned, rejected)
 
@@ -84,14 +86,16 @@ def _started(fitter: FrameFitter, start: ModelParameters) -> Float[np.ndarray, "
 
 
 def _aligned(
-    fitter: FrameFitter, scan: Scan, name: str, vector: Float[np.ndarray, " Q"], first: bool
+    fitter: FrameFitter, scan: Scan, name: str, vector: Float[np.ndarray, " Q"], shapes: list[np.ndarray]
 ) -> tuple[_Aligned | None, str]:
     """One frame fitted, its free vertices unposed; or why not."""
-    options = fitter.options
+    options, first = fitter.options, not shapes
     points = frame_points(scan, options)
-    previous = None if first else fitter.fields.parameters(vector).pose
-    back = scan_surface(scan) if first else None
-    begin = FrameStart(vector, previous, first=first, back=back)
+    if first:
+        begin = FrameStart(vector, first=True, back=scan_surface(scan))
+    else:
+        previous = fitter.fields.parameters(vector).pose
+        begin = FrameStart(vector, previous, shape=np.mean(shapes, axis=0), shapes=len(shapes))
     solution = fitter.fit(points, begin, options.first if first else options.annealing)
     if not solution.outcome.usable:
         return None, f"the fit {solution.outcome.value}"
@@ -102,7 +106,7 @@ def _aligned(
     parameters = fitter.fields.parameters(solution.state.parameters)
     posed = fitter.fields.evaluated(solution.state.parameters).vertices
     try:
-        free = coupled_vertices(posed, fitter.surface, points, options)
+        free = coupled_vertices(posed, fitter.surface, points, options, fitter.on_hands)
     except ArithmeticError as error:
         return None, f"free vertices: {error}"
     return _Aligned(name, unposed(fitter.model, free, parameters), parameters), ""

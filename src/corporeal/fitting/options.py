@@ -91,7 +91,7 @@ class TrackingOptions:
 
     weights: TrackingWeights = field(default_factory=TrackingWeights)
     annealing: tuple[AnnealingStep, ...] = (AnnealingStep(100.0, 0.1, 4), AnnealingStep(500.0, 0.01, 5))
-    first: tuple[AnnealingStep, ...] = (AnnealingStep(100.0, 0.1, 15), AnnealingStep(500.0, 0.015, 15))
+    first: tuple[AnnealingStep, ...] = (AnnealingStep(100.0, 0.03, 10), AnnealingStep(500.0, 0.01, 15))
     retry: tuple[AnnealingStep, ...] = (AnnealingStep(100.0, 0.15, 12), AnnealingStep(500.0, 0.02, 10))
     hands: HandPose = "components"
     components: int = 6

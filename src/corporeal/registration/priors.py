@@ -33,7 +33,7 @@ def prior_terms(
     mean = np.zeros(shape_size)
     terms: list[Term] = [GaussianPrior.isotropic("shape prior", columns.shape, mean, shape_sigma)]
     for block in model.pose_blocks:
-        where = _columns_of(block, columns)
+        where = block_columns(block, columns)
         if pose_prior is None:
             terms.append(_pose_prior(block, where, pose_prior_scale))
         else:
@@ -65,7 +65,12 @@ def _given_prior(block: PoseBlock, where: slice, prior: GaussianPose, scale: flo
     return GaussianPrior(f"{block.name} prior", where, prior.mean[own], np.linalg.inv(covariance) / scale**2)
 
 
-def _columns_of(block: PoseBlock, columns: ParameterColumns) -> slice:
+def block_columns(block: PoseBlock, columns: ParameterColumns) -> slice:
+    """Where a block's numbers stand in the parameters.
+
+    Raises:
+        ValueError: its joints do not follow one another.
+    """
     joints = np.asarray(block.joints)
     if not np.array_equal(joints, np.arange(joints[0], joints[0] + len(joints))):
         raise ValueError(f"pose block {block.name!r}: its joints must follow one another to be solved for")

@@ -14,6 +14,7 @@ from jaxtyping import Float
 from corporeal.model.mirror import mirror_model
 from corporeal.model.surface_model import Side, SurfaceModel
 from corporeal.registration.evidence import LandmarkEvidence
+from corporeal.registration.hand_starts import hand_landmarks, hands_tried
 from corporeal.registration.judgement import verdict_of
 from corporeal.registration.limbs import limbs_tried
 from corporeal.registration.measures import beyond_cut, scan_to_mesh
@@ -35,6 +36,10 @@ _CLEAR_SIDE = 0.15
 _FEWEST_POINTS = 100
 # Two starts whose vertices are nowhere farther apart (metres) are one.
 _APART = 15e-3
+# The surface stage after which hands are tried: the arms lie well by then.
+_HANDS_AFTER = 2
+# Once more from where the first round put elbow and hand: a hand that was half right is found then.
+_HAND_ROUNDS = 2
 _STATUSES = ("ok", "doubtful", "failed")
 # Kept as long as the model is: a session registers thousands of scans with two models.
 _MIRRORED: WeakKeyDictionary[SurfaceModel, SurfaceModel] = WeakKeyDictionary()
@@ -121,6 +126,10 @@ def _through_all_stages(
             if not solution.outcome.usable:
                 return _failed(fitter, f"surface stage {number}", solution, clock)
             vector = solution.state.parameters
+            if number == _HANDS_AFTER and options.hands:
+                for _ in range(_HAND_ROUNDS):
+                    with clock.stage("hands"):
+                        fitter, vector = _hands_mended(fitter, vector)
     with clock.stage("free vertices"):
         vertices = fitter.fields.derive(vector)[MODEL]
         for number, free_stage in enumerate(options.free, start=1):
@@ -130,6 +139,17 @@ def _through_all_stages(
             vector, vertices = solution.state.parameters, solution.state.free
     with clock.stage("measure"):
         return _measured(fitter, vector, vertices, clock.seconds)
+
+
+def _hands_mended(fitter: Fitter, vector: Float[np.ndarray, " Q"]) -> tuple[Fitter, Float[np.ndarray, " Q"]]:
+    """Every hand in the pose that the scan speaks for, and the body led to it: its arms may be too short."""
+    parameters = fitter.fields.parameters(vector)
+    found, tried = hands_tried(fitter.model, fitter.target.scan, parameters)
+    if not tried:
+        return fitter, vector
+    led = fitter.led_to(hand_landmarks(fitter.model, tried), tuple(f"{hand.name}_" for hand in tried))
+    solution = led.fit_surface(found.vector(), fitter.options.surface[_HANDS_AFTER - 1])
+    return (led, solution.state.parameters) if solution.outcome.usable else (fitter, vector)
 
 
 def _second_start(

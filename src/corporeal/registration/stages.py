@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
+import scipy.sparse as sp
 from jaxtyping import Float, Int
 
 from corporeal.geometry.self_intersection import PartSurfaces
@@ -44,6 +45,23 @@ class MeasuredLandmarks:
     landmark_set: LandmarkSet
     positions: Float[np.ndarray, "N 3"]
     relative_sigmas: Float[np.ndarray, " N"]
+
+    def without(self, beginnings: tuple[str, ...]) -> MeasuredLandmarks:
+        """Those whose names do not begin so."""
+        names = self.landmark_set.names
+        kept = [k for k, name in enumerate(names) if not name.startswith(beginnings)]
+        left = self.landmark_set.reordered([names[k] for k in kept])
+        return MeasuredLandmarks(left, self.positions[kept], self.relative_sigmas[kept])
+
+    def joined(self, other: MeasuredLandmarks) -> MeasuredLandmarks:
+        """Both, in this order; no name may stand in both."""
+        mine, theirs = self.landmark_set, other.landmark_set
+        weights = sp.vstack([mine.weights, theirs.weights]).tocsr()
+        return MeasuredLandmarks(
+            LandmarkSet(mine.names + theirs.names, weights, mine.vertex_count),
+            np.concatenate([self.positions, other.positions]),
+            np.concatenate([self.relative_sigmas, other.relative_sigmas]),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +119,18 @@ class Fitter:
         other.target = self.target.scaled(factor)
         if self.landmarks is not None:
             other.landmarks = replace(self.landmarks, positions=factor * self.landmarks.positions)
+        return other
+
+    def led_to(self, marks: MeasuredLandmarks, dropped: tuple[str, ...]) -> Fitter:
+        """The same fit with more landmarks; those whose names begin with one of ``dropped`` are left out."""
+        other = copy.copy(self)
+        other.landmarks = marks if self.landmarks is None else self.landmarks.without(dropped).joined(marks)
+        other.fields = ModelFields(
+            self.model,
+            shape_count=self.fields.shape_count,
+            landmarks=other.landmarks.landmark_set,
+            correctives=self.options.correctives,
+        )
         return other
 
     def fit_landmarks(self, start: Float[np.ndarray, " Q"], stage: LandmarkStage) -> Solution:

@@ -79,5 +79,10 @@ class Target:
         scan = self.measured
         if scan.is_point_cloud:
             return None
-        points, faces = clustered(scan.points, scan.faces, _SURFACE_POINTS)
-        return ScanSurface(SurfaceTree(points, faces), face_normals(points, faces), open_sides(faces))
+        return scan_surface_of(scan)
+
+
+def scan_surface_of(scan: Scan) -> ScanSurface:
+    """A mesh's triangles, fewer where it has many."""
+    points, faces = clustered(scan.points, scan.faces, _SURFACE_POINTS)
+    return ScanSurface(SurfaceTree(points, faces), face_normals(points, faces), open_sides(faces))

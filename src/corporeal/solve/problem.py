@@ -125,22 +125,35 @@ class Problem:
         fields = self.fields(state)
         return Evaluation(state, {term.name: term.at(fields) for term in self.terms})
 
-    def normal_system(self, evaluation: Evaluation) -> NormalSystem:
-        """Gauss-Newton system of all terms, derived fields pulled back to the parameters."""
+    def normal_system(
+        self, evaluation: Evaluation, narrowed: Callable[[np.ndarray], np.ndarray] | None = None
+    ) -> NormalSystem:
+        """Gauss-Newton system of all terms, derived fields pulled back to the parameters.
+
+        Args:
+            evaluation: of this problem.
+            narrowed: rows (n, Q) of slopes by the parameters -> rows of slopes by fewer unknowns, on which the
+                parameters depend linearly; None where the parameters are the unknowns. Jacobians are narrowed
+                before anything is multiplied by them: nearly all of a step's time goes there.
+        """
         state = evaluation.state
         gradient, curvature = _sum_quadratics([value.quadratic() for value in evaluation.values.values()])
+        size = state.parameters.size
         jacobians = {
-            name: jacobian.reshape(-1, state.parameters.size)
+            name: jacobian.reshape(-1, size)
             for name, jacobian in self.differentiate(state.parameters).items()
         }
-        size = state.parameters.size
+        if narrowed is not None:
+            jacobians = {name: narrowed(jacobian) for name, jacobian in jacobians.items()}
+            jacobians[PARAMETERS] = narrowed(np.eye(size))
+            size = jacobians[PARAMETERS].shape[1]
         H, g = np.zeros((size, size)), np.zeros(size)
         cross: np.ndarray | None = None
         for name, slope in gradient.items():
-            if name == PARAMETERS:
-                g += slope
-            elif name != self.free_field:
+            if name in jacobians:
                 g += jacobians[name].T @ slope.ravel()
+            elif name == PARAMETERS:
+                g += slope
         for (a, b), block in curvature.items():
             if self.free_field not in (a, b):
                 H += _pulled_back(block, jacobians.get(a), jacobians.get(b), symmetric=a == b)

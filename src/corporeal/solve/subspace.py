@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -26,6 +27,26 @@ class AffineSubspace:
     def lifted(self, coordinates: Float[np.ndarray, " n"]) -> Float[np.ndarray, " Q"]:
         """The parameters at some coordinates."""
         return self.origin + self.directions @ coordinates
+
+    def narrowed(self, slopes: Float[np.ndarray, "m Q"]) -> Float[np.ndarray, "m n"]:
+        """slopes @ directions, slopes by the parameters -> slopes by the coordinates.
+
+        A parameter that is a coordinate by itself is copied, not multiplied: of a body all but its fingers.
+        """
+        alone, parameters, mixed, involved = self._structure
+        narrow = np.empty((len(slopes), self.directions.shape[1]))
+        narrow[:, alone] = slopes[:, parameters]
+        narrow[:, mixed] = slopes[:, involved] @ self.directions[np.ix_(involved, mixed)]
+        return narrow
+
+    @cached_property
+    def _structure(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Coordinates that are one parameter, and which; the others, and the parameters that they move."""
+        moved = self.directions != 0
+        alone = (moved.sum(axis=0) == 1) & (self.directions.max(axis=0) == 1)
+        parameters = moved.argmax(axis=0)[alone]
+        involved = np.flatnonzero(moved[:, ~alone].any(axis=1))
+        return np.flatnonzero(alone), parameters, np.flatnonzero(~alone), involved
 
     def nearest(self, parameters: Float[np.ndarray, " Q"]) -> Float[np.ndarray, " n"]:
         """Coordinates of the least-squares projection."""
@@ -53,11 +74,11 @@ class RestrictedProblem:
 
     def normal_system(self, evaluation: Evaluation) -> DenseSystem:
         """Gauss-Newton system over the coordinates."""
-        whole = self.problem.normal_system(Evaluation(self._lifted(evaluation.state), evaluation.values))
-        if not isinstance(whole, DenseSystem):
+        whole = Evaluation(self._lifted(evaluation.state), evaluation.values)
+        system = self.problem.normal_system(whole, self.subspace.narrowed)
+        if not isinstance(system, DenseSystem):
             raise TypeError("problem: expected a dense system")
-        directions = self.subspace.directions
-        return DenseSystem(directions.T @ whole.H @ directions, directions.T @ whole.gradient)
+        return system
 
     def _lifted(self, state: State) -> State:
         return State(self.subspace.lifted(state.parameters))

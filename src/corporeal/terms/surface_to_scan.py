@@ -19,6 +19,10 @@ from corporeal.terms.distance import DistanceOptions, WeightedDistances
 from corporeal.terms.scan_to_surface import MovingSurface
 
 
+# What lies so far (metres) from the edge of a hole sticks out of it; nearer, it may just not have been seen.
+_FAR_FROM_EDGE = 12e-3
+
+
 @dataclass(frozen=True, eq=False)
 class ScanSurface:
     """A fixed scan surface to measure against.
@@ -45,6 +49,9 @@ class SurfaceToScan:
         scan: the fixed scan.
         weights: (V,) base weights; zero leaves a vertex out.
         options: sigma, robust scale, curvature.
+        outside: only vertices on the outer side of the scan count, the others cost nothing: skin within may be
+            skin that nothing saw, of folded fingers say. Of a fist's vertices a third lie so, and a pose that
+            hides none of them looks better by them, however wrong it is.
     """
 
     name: str
@@ -53,6 +60,7 @@ class SurfaceToScan:
     scan: ScanSurface
     weights: Float[np.ndarray, " V"]
     options: DistanceOptions
+    outside: bool = False
     _last_faces: np.ndarray | None = None
 
     def at(self, fields: Fields) -> SurfaceToScanValue:
@@ -60,12 +68,19 @@ class SurfaceToScan:
         vertices = fields[self.field]
         closest = self.scan.tree.closest(vertices, self._last_faces)
         self._last_faces = closest.faces
-        own = vertex_normals(vertices, self.surface.faces)
         normals = self.scan.normals[closest.faces]
         on_edge = ((closest.barycentric < 1e-9) & self.scan.boundary_sides[closest.faces]).any(axis=1)
-        matched = ~on_edge & (np.einsum("na,na->n", own, normals) >= self.options.minimum_cosine)
         offsets = vertices - closest.points
-        distances = WeightedDistances.of(offsets, self.weights, matched, self.options)
+        weights = self.weights
+        if self.outside:
+            beyond = np.einsum("na,na->n", offsets, normals) > 0
+            far = np.einsum("na,na->n", offsets, offsets) > _FAR_FROM_EDGE**2
+            matched = beyond & (~on_edge | far)
+            weights = np.where(matched, weights, 0.0)
+        else:
+            own = vertex_normals(vertices, self.surface.faces)
+            matched = ~on_edge & (np.einsum("na,na->n", own, normals) >= self.options.minimum_cosine)
+        distances = WeightedDistances.of(offsets, weights, matched, self.options)
         return SurfaceToScanValue(self, distances, normals)
 
 

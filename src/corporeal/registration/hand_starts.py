@@ -1,0 +1,311 @@
+"""Hands of a body tried anew: each alone with its forearm, from every pose that the model knows of hands.
+
+A body's fit sees a hand only as well as its detector does, and of fists and half-closed hands that is seldom:
+no descent leads straight fingers round into a fist. A hand alone is small, so that a dozen descents cost some
+seconds. Which of them is right is told by the scan's distances to the model; of the way back only vertices
+outside of the scan count (``SurfaceToScan.outside``): with all of them the wrong poses win.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Bool, Float, Int
+
+from corporeal.geometry.rotations_numeric import axis_angle_from_matrix
+from corporeal.model.jacobian import Evaluated, evaluate
+from corporeal.model.landmarks import LandmarkSet
+from corporeal.model.parts import select_part
+from corporeal.model.statistics import PoseBlock
+from corporeal.model.surface_model import SurfaceModel
+from corporeal.registration.priors import block_columns, prior_terms
+from corporeal.registration.stages import MeasuredLandmarks
+from corporeal.registration.target import scan_surface_of
+from corporeal.scans.scan import Scan
+from corporeal.scans.surface_sampling import sample_surface
+from corporeal.solve.dogleg import DoglegOptions, Solution, solve
+from corporeal.solve.problem import Problem, State, Term
+from corporeal.terms.distance import DistanceOptions
+from corporeal.terms.gaussian_prior import GaussianPrior
+from corporeal.terms.model_fields import MODEL, ModelFields, ModelParameters
+from corporeal.terms.scan_to_surface import MovingSurface, ScanToSurface
+from corporeal.terms.surface_to_scan import ScanSurface, SurfaceToScan
+
+# How far the elbow, and the turn of the forearm, may be off in the body's fit: metres, radians.
+_ELBOW, _FOREARM = 0.02, 0.25
+# Both ways together stand for twice so many observations.
+_OBSERVATIONS, _POINTS, _TANGENTIAL, _MINIMUM_COSINE = 400.0, 1500, 0.1, 0.3
+# Real fingers leave the ranges of the recorded ones by some degrees.
+_PRIOR_SCALE, _LIMIT_SIGMA = 2.0, 0.15
+# A wrist that is bent more (radians) is tried straight too: beside a thigh it may have been bent the wrong way.
+_STRAIGHT = 0.4
+# A person's hands are larger or smaller than the body's shape tells, by such a share.
+_HAND_SIZE = 0.05
+_KEPT = 4
+_BACK = 0.3
+# The means of known kinds of poses are tried as they are and bent so much more, up to this share of the limits.
+_BENT, _BENT_TO = 1.5, 0.9
+# What is cut out: the forearm's last three quarters, and what lies about the middle of the hand, metres. Points
+# that lie nearer than this to another part of the body are that part's.
+_ALONG, _FOREARM_RADIUS, _HAND_AHEAD, _HAND_REACH, _OTHERS = 0.25, 0.07, 0.08, 0.17, 0.03
+_FEWEST_POINTS = 150
+# Every so many vertices of an arm lead the body to it; their sigma as a share of a landmark's.
+_EVERY, _LED_SIGMA = 40, 0.25
+
+
+@dataclass(frozen=True)
+class _Descent:
+    """Robust scale and standard deviation of a distance in metres; most steps."""
+
+    robust_scale: float
+    sigma: float
+    iterations: int
+
+
+_WIDE, _NARROW = _Descent(0.05, 0.004, 6), _Descent(0.01, 0.002, 10)
+
+
+@dataclass(frozen=True, eq=False)
+class HandTried:
+    """What came of one hand.
+
+    Attributes:
+        name: of its pose block.
+        cost: of the best descent, in half squared standard deviations; ``cost_before`` of that from the pose
+            that it had.
+        scan_cost: the share of the scan's distances in ``cost`` per observation.
+        vertices: (n,) of the whole model, on the arm.
+        positions: (n, 3) where the best descent put them, metres.
+    """
+
+    name: str
+    cost: float
+    cost_before: float
+    scan_cost: float
+    vertices: Int[np.ndarray, " n"]
+    positions: Float[np.ndarray, "n 3"]
+
+
+def hands_tried(
+    model: SurfaceModel, scan: Scan, parameters: ModelParameters, names: tuple[str, ...] | None = None
+) -> tuple[ModelParameters, list[HandTried]]:
+    """The parameters with every hand in the pose whose descent costs least; its own pose is among the starts.
+
+    Elbow, wrist and fingers change. Hands of which the scan shows too little stay as they are and are not in
+    the list, as are all of a point cloud, which has no outer side.
+
+    Args:
+        model: with pose blocks of hands that hang on a forearm; one without is given back unchanged.
+        scan: metres.
+        parameters: that fit the body well, its hands perhaps not.
+        names: pose blocks to try; all if None.
+    """
+    pose, tried = parameters.pose.copy(), []
+    if scan.is_point_cloud:
+        return parameters, tried
+    posed = evaluate(model, parameters.shape, parameters.pose, parameters.translation)
+    for block in model.pose_blocks:
+        if not is_hand_on_arm(model, block) or (names is not None and block.name not in names):
+            continue
+        arm = _arm_of(model, block.name)
+        near = _cut_out(scan, posed, model, arm)
+        if near is None:
+            continue
+        fit = _ArmFit(arm, parameters.shape, near, _pose_of_arm(arm, posed, parameters.pose))
+        vector, cost, before = fit.best()
+        pose[arm.joints] = _local_pose(model, arm, posed, vector)
+        tried.append(
+            HandTried(block.name, cost, before, fit.scan_cost(vector), arm.vertices, fit.vertices(vector))
+        )
+    return ModelParameters(parameters.translation, pose, parameters.shape), tried
+
+
+def hand_landmarks(model: SurfaceModel, tried: list[HandTried]) -> MeasuredLandmarks:
+    """Vertices of the arms that were tried, as landmarks that lead a body's fit to them."""
+    vertices = np.concatenate([hand.vertices[::_EVERY] for hand in tried])
+    positions = np.concatenate([hand.positions[::_EVERY] for hand in tried])
+    names = tuple(f"vertex {vertex}" for vertex in vertices)
+    shape = (len(vertices), model.vertex_count + model.joint_count)
+    weights = sp.csr_matrix((np.ones(len(vertices)), (np.arange(len(vertices)), vertices)), shape=shape)
+    marks = LandmarkSet(names, weights, model.vertex_count)
+    return MeasuredLandmarks(marks, positions, np.full(len(vertices), _LED_SIGMA))
+
+
+def is_hand_on_arm(model: SurfaceModel, block: PoseBlock) -> bool:
+    """Whether a block is of fingers, known by components, with a wrist and an elbow above them."""
+    if not len(block.components):
+        return False
+    wrist = int(model.parents[block.joints[0]])
+    return wrist > 0 and int(model.parents[wrist]) > 0
+
+
+@dataclass(frozen=True, eq=False)
+class _Arm:
+    """Forearm and hand of a model: ``joints`` and ``vertices`` of the whole, elbow and wrist first."""
+
+    part: SurfaceModel
+    joints: Int[np.ndarray, " j"]
+    vertices: Int[np.ndarray, " n"]
+    surface: MovingSurface
+    fingers: Bool[np.ndarray, " n"]
+
+
+# Kept as long as the model is; cutting a part out takes half a second.
+_ARMS: WeakKeyDictionary[SurfaceModel, dict[str, _Arm]] = WeakKeyDictionary()
+
+
+def _arm_of(model: SurfaceModel, name: str) -> _Arm:
+    arms = _ARMS.setdefault(model, {})
+    if name not in arms:
+        block = next(block for block in model.pose_blocks if block.name == name)
+        wrist = int(model.parents[block.joints[0]])
+        joints = np.array([int(model.parents[wrist]), wrist, *block.joints])
+        vertices = np.flatnonzero(model.skinning_weights[:, joints].sum(axis=1) > 0.7)
+        plain = model.replace(expression_directions=np.zeros((model.vertex_count, 3, 0)))
+        part = select_part(plain, vertices, joints.tolist(), name=f"{name} and forearm")
+        fingers = np.asarray(part.skinning_weights[:, 1:].sum(axis=1) > 0.5)
+        arms[name] = _Arm(part, joints, vertices, MovingSurface(part.template, part.faces), fingers)
+    return arms[name]
+
+
+def _cut_out(scan: Scan, posed: Evaluated, model: SurfaceModel, arm: _Arm) -> Scan | None:
+    """The scan about an arm; None where too little of a hand is there."""
+    elbow, wrist = posed.joints[arm.joints[0]], posed.joints[arm.joints[1]]
+    length = float(np.linalg.norm(wrist - elbow))
+    forward = (wrist - elbow) / max(length, 1e-9)
+    along = (scan.points - elbow) @ forward
+    radius = np.linalg.norm(scan.points - elbow - along[:, None] * forward, axis=1)
+    on_forearm = (along > _ALONG * length) & (along < length) & (radius < _FOREARM_RADIUS)
+    middle = wrist + _HAND_AHEAD * forward
+    about_hand = (along > 0.8 * length) & (np.linalg.norm(scan.points - middle, axis=1) < _HAND_REACH)
+    near = np.flatnonzero(on_forearm | about_hand)
+    if not len(near):
+        return None
+    closest = MovingSurface(posed.vertices, model.faces).closest(posed.vertices, scan.points[near], None)
+    own = np.zeros(model.vertex_count, dtype=bool)
+    own[arm.vertices] = True
+    kept = own[model.faces[closest.faces]].any(axis=1) | (closest.distances > _OTHERS)
+    mask = np.zeros(len(scan.points), dtype=bool)
+    mask[near[kept]] = True
+    return scan.subset(mask) if (mask & (along > length)).sum() >= _FEWEST_POINTS else None
+
+
+def _pose_of_arm(arm: _Arm, posed: Evaluated, pose: Float[np.ndarray, "K 3"]) -> ModelParameters:
+    """The arm's own parameters: its root is the elbow, placed and turned as in the body."""
+    own = pose[arm.joints].copy()
+    own[0] = axis_angle_from_matrix(posed.T_world_joint[arm.joints[:1], :3, :3])[0]
+    return ModelParameters(posed.joints[arm.joints[0]], own, np.zeros(0))
+
+
+def _local_pose(
+    model: SurfaceModel, arm: _Arm, posed: Evaluated, vector: Float[np.ndarray, " Q"]
+) -> Float[np.ndarray, "j 3"]:
+    """An arm's parameters as the body's pose of its joints: the elbow against the upper arm."""
+    own = vector[3 : 3 + 3 * len(arm.joints)].reshape(-1, 3).copy()
+    above = posed.T_world_joint[model.parents[arm.joints[0]], :3, :3]
+    turned = evaluate(arm.part, np.zeros(arm.part.shape_count), own, np.zeros(3)).T_world_joint[0, :3, :3]
+    own[0] = axis_angle_from_matrix((above.T @ turned)[None])[0]
+    return own
+
+
+class _ArmFit:
+    """One arm, in the shape of its person, being fitted to what was cut out of a scan."""
+
+    def __init__(self, arm: _Arm, shape: Float[np.ndarray, " s"], scan: Scan, begun: ModelParameters) -> None:
+        part = arm.part
+        shaped = part.template + part.shape_directions[:, :, : len(shape)] @ shape
+        rest = part.joint_regressor @ shaped
+        hand = np.asarray(part.skinning_weights[:, 1:].sum(axis=1)).reshape(-1, 1)
+        growth = _HAND_SIZE * hand * (shaped - rest[1])
+        self._model = part.replace(template=shaped, shape_directions=growth[:, :, None])
+        self._arm = arm
+        self._fields = ModelFields(self._model, shape_count=1)
+        self._begun = ModelParameters(begun.translation - rest[0], begun.pose, np.zeros(1)).vector()
+        self._points, self._normals = sample_surface(scan, _POINTS)
+        self._scan: ScanSurface = scan_surface_of(scan)
+        self._block = next(block for block in part.pose_blocks if len(block.components))
+        self._where = block_columns(self._block, self._fields.columns)
+        self._wrist = slice(self._fields.columns.pose.start + 3, self._fields.columns.pose.start + 6)
+
+    def best(self) -> tuple[Float[np.ndarray, " Q"], float, float]:
+        """Parameters of the descent that costs least, its cost, and that of the descent from the own pose."""
+        own = self._descended(self._begun, _WIDE, _NARROW)
+        straight = self._begun.copy()
+        straight[self._wrist] = 0
+        wrists = [self._begun] if np.linalg.norm(self._begun[self._wrist]) < _STRAIGHT else [self._begun, straight]
+        starts = [self._posed(wrist, fingers) for wrist in wrists for fingers in self._known_fingers()]
+        fingers = self._best_of(starts, own)
+        found = self._best_of(self._other_thumbs(fingers.state.parameters), fingers)
+        return found.state.parameters, found.cost, own.cost
+
+    def _best_of(self, starts: list[Float[np.ndarray, " Q"]], other: Solution) -> Solution:
+        """All go the wide way, the best of them the narrow one too."""
+        wide = sorted((self._descended(start, _WIDE) for start in starts), key=lambda found: found.cost)
+        narrow = [self._descended(found.state.parameters, _WIDE, _NARROW) for found in wide[:_KEPT]]
+        return min([other, *narrow], key=lambda found: found.cost)
+
+    def vertices(self, vector: Float[np.ndarray, " Q"]) -> Float[np.ndarray, "n 3"]:
+        """The posed arm, metres."""
+        return self._fields.evaluated(vector).vertices
+
+    def scan_cost(self, vector: Float[np.ndarray, " Q"]) -> float:
+        """Half squared deviations of the scan from the arm, per observation."""
+        fields = self._fields.derive(vector)
+        return self._terms(_NARROW)[0].at(fields).cost / _OBSERVATIONS
+
+    def _known_fingers(self) -> list[Float[np.ndarray, " n"]]:
+        """The flat hand, the middle of every kind of pose that is known, and the same bent more.
+
+        Recorded kinds of poses end before the closed fist, whose start must be near.
+        """
+        mixture, limits = self._block.mixture, self._block.limits
+        known = list(self._block.mean[None] if mixture is None else mixture.means)
+        if limits is not None:
+            numbers = limits.reshape(-1, 2)
+            known += [np.clip(_BENT * one, *(_BENT_TO * numbers.T)) for one in known]
+        return [np.zeros_like(self._block.mean), *known]
+
+    def _posed(
+        self, vector: Float[np.ndarray, " Q"], fingers: Float[np.ndarray, " n"]
+    ) -> Float[np.ndarray, " Q"]:
+        posed = vector.copy()
+        posed[self._where] = fingers
+        return posed
+
+    def _other_thumbs(self, vector: Float[np.ndarray, " Q"]) -> list[Float[np.ndarray, " Q"]]:
+        """The same with the thumb of every known pose: beside the fist, or over it, it is in the others' way."""
+        names = [self._model.joint_names[joint] for joint in self._block.joints]
+        thumb = np.repeat(["thumb" in name for name in names], 3)
+        own = vector[self._where]
+        return [self._posed(vector, np.where(thumb, other, own)) for other in self._known_fingers()]
+
+    def _descended(self, start: Float[np.ndarray, " Q"], *descents: _Descent) -> Solution:
+        for descent in descents:
+            problem = Problem(self._terms(descent), self._fields.derive, self._fields.differentiate)
+            limits = DoglegOptions(iterations=descent.iterations, relative_decrease=1e-3)
+            solution = solve(problem, State(start), limits)
+            start = solution.state.parameters
+        return solution
+
+    def _terms(self, descent: _Descent) -> list[Term]:
+        columns, arm = self._fields.columns, self._arm
+        distance = DistanceOptions(descent.sigma, descent.robust_scale, _TANGENTIAL, _MINIMUM_COSINE)
+        weights = np.full(len(self._points), _OBSERVATIONS / len(self._points))
+        back = np.where(arm.fingers, _BACK * _OBSERVATIONS / max(int(arm.fingers.sum()), 1), 0.0)
+        root = slice(columns.pose.start, columns.pose.start + 3)
+        return [
+            ScanToSurface("scan", MODEL, arm.surface, self._points, weights, self._normals, distance),
+            SurfaceToScan("back", MODEL, arm.surface, self._scan, back, distance, outside=True),
+            GaussianPrior.isotropic("elbow", columns.translation, self._begun[columns.translation], _ELBOW),
+            GaussianPrior.isotropic("forearm", root, self._begun[root], _FOREARM),
+            *prior_terms(
+                self._model,
+                columns,
+                shape_sigma=1.0,
+                pose_prior_scale=_PRIOR_SCALE,
+                limit_sigma=_LIMIT_SIGMA,
+            ),
+        ]
