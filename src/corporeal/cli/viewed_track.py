@@ -11,12 +11,20 @@ from typing import Any
 import numpy as np
 import torch
 from jaxtyping import Float, Float32, Int
+from scipy.spatial.transform import Rotation
 
 from corporeal.cli.tracking_folder import REPORT
 from corporeal.cli.tracking_outputs import frame_item
 from corporeal.export.overview import LARGEST_ERROR_MM, error_colours
 from corporeal.export.track_sheet import WORST_MM
-from corporeal.fitting.files import TEMPLATE, TrackFileError, frame_path, read_frame, read_story
+from corporeal.fitting.files import (
+    TEMPLATE,
+    TEMPLATE_STORY,
+    TrackFileError,
+    frame_path,
+    read_frame,
+    read_story,
+)
 from corporeal.geometry.closest_points import SurfaceTree
 from corporeal.model.files import ModelFileError, load_model
 from corporeal.model.module import SurfaceModule
@@ -26,7 +34,7 @@ from corporeal.registration.subjects import subject_of
 from corporeal.scans.files import read_scan_points
 from corporeal.scans.formats.sequence import DEFAULT_FPS
 from corporeal.scans.units import UnitChoice
-from corporeal.view.track import FrameRow, ShownScan
+from corporeal.view.track import FrameRow, ShownScan, Stance, stance_of
 
 _POINTS = 20_000
 _FAR = 0.05
@@ -107,10 +115,14 @@ class ViewedTrack:
         if story is None:
             self._now = _Contents()
             return bool(before.rows)
+        try:
+            listed = [(str(name), str(file)) for name, file in story["made_from"]["frames"]]
+        except (KeyError, TypeError, ValueError) as error:
+            raise TrackFileError(f"{self.folder / TEMPLATE_STORY}: does not list its frames") from error
         sequence = story.get("sequence") or report.get("sequence") or {}
         rows, files, stamps = [], [], []
         reported = self._reported(report)
-        for number, (name, file) in enumerate(story["made_from"]["frames"]):
+        for number, (name, file) in enumerate(listed):
             stamp = _stamp(frame_path(self.folder, name))
             if stamp is None:
                 break
@@ -124,14 +136,16 @@ class ViewedTrack:
         self._now = _Contents(tuple(rows), tuple(files), tuple(stamps), story, sequence)
         return self._now.stamps[: len(before.stamps)] != before.stamps
 
-    def first_good(self) -> int:
-        """The first frame that did not fail; 0 where all did."""
-        return next((number for number, row in enumerate(self.rows) if row.status != "failed"), 0)
+    def stance(self) -> Stance:
+        """How the person stands in the first frame that did not fail.
 
-    def root_axes(self, index: int) -> Float[np.ndarray, "3 3"]:
-        """The axes of the model's root in the scans' frame, one per column: to the left, up, to the front."""
-        pose = torch.from_numpy(self._poses(index, index + 1)[0][0, :1])
-        return FullPose(pose[None].to(torch.float64)).matrices()[0, 0].numpy()
+        Raises:
+            TrackFileError: the model cannot be read.
+        """
+        good = (number for number, row in enumerate(self.rows) if row.status != "failed")
+        index = next(good, 0)
+        axes = Rotation.from_rotvec(self._poses(index, index + 1)[0][0, 0]).as_matrix()
+        return stance_of(self.vertices(index, index + 1)[0], axes[:, 1], axes[:, 2])
 
     def vertices(self, start: int, stop: int) -> Float32[np.ndarray, "n V 3"]:
         """The model in these frames, metres, posed in float32; a record that is damaged stands as before."""
@@ -147,7 +161,9 @@ class ViewedTrack:
         try:
             path = self.scan_path(index)
             if path is None:
-                return ShownScan.missing("the track does not say where its scans lie; name it with --scans DIR")
+                return ShownScan.missing(
+                    "the track does not say where its scans lie; name it with --scans DIR"
+                )
             if not path.exists():
                 return ShownScan.missing(f"no scan at {path}; if the scans have moved, say --scans DIR")
             return self._shown(index, path)

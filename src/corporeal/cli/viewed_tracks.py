@@ -34,7 +34,9 @@ def find_tracks(folder: Path, scans: Path | None) -> list[ViewedTrack]:
         what = "is a file" if folder.exists() else "does not exist"
         raise CommandError(f"view: {folder} {what}; give the folder that corporeal track wrote to", 2)
     if scans is not None and not scans.is_dir():
-        raise CommandError(f"--scans {scans}: is no folder; give the one of the sequence, or that above it", 2)
+        raise CommandError(
+            f"--scans {scans}: is no folder; give the one of the sequence, or that above it", 2
+        )
     try:
         # Its name is the sequence's, which "." has none of.
         places = [folder.resolve()] if _is_track(folder) else _tracks_in(folder)
@@ -71,16 +73,18 @@ def _tracks_in(folder: Path) -> list[Path]:
 def _what_else(folder: Path) -> str:
     """A sentence on a folder without a track: what it seems to be, and the command for that."""
     if has_records(folder) or (folder / MANIFEST).is_file():
-        return f"{folder}: holds a registered session, not a track; look at it with: corporeal curate {folder}"
+        return (
+            f"{folder}: holds a registered session, not a track; look at it with: corporeal curate {folder}"
+        )
     if (folder / LIST).is_file():
         return f"{folder}: holds scans that are not tracked yet; do: corporeal track {folder} -o TRACKED"
     if (folder / ITEMS).is_file():
         return f"{folder}: holds a session of scans; register it: corporeal register {folder} -o REG"
     if any(folder.glob(f"*/{LIST}")):
         return f"{folder}: holds sequences of scans; track them: corporeal track {folder}/* -o TRACKED"
-    if any(folder.glob("**/registration.npz")):
+    if any(folder.glob("registration.npz")) or any(folder.glob("*/registration.npz")):
         return f"{folder}: holds a registration of one scan; its GLB opens in any glTF viewer"
     return (
-        f"{folder}: holds no track; give the folder that corporeal track wrote to (if it has just begun, wait "
-        "until the subject's template is learned)"
+        f"{folder}: holds no track; give what corporeal track wrote to (if it has just begun, wait "
+        "for the template)"
     )

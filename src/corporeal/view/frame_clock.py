@@ -90,6 +90,11 @@ class FrameClock:
             raise ValueError(f"speed: expected a positive number, got {speed}")
         self._from, self._since, self._speed = self._reached(now), now, speed
 
+    def set_loop(self, loop: bool, now: float) -> None:
+        """Loop, or stop at the last frame, from the frame on that is seen."""
+        self._from, self._since = self._reached(now) % self.count, now
+        self.loop = loop
+
     def resize(self, count: int, now: float) -> None:
         """Frames came, or went; the one that is seen stays where it still exists.
 

@@ -79,7 +79,8 @@ def free_port(port: int) -> int:
             except OSError as error:
                 trouble = trouble or str(error.strerror or error)
     raise PortError(
-        f"--port {port}: cannot be listened on ({trouble}), nor can those after it; name another, or 0 for any"
+        f"--port {port}: cannot be listened on ({trouble}), nor can those after it; name another, or 0 for "
+        "any that is free"
     )
 
 

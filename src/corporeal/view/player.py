@@ -1,4 +1,4 @@
-"""A track being played: the frame, its vertices ready ahead, and the scans that are there. It knows no page."""
+"""A track being played: the frame, its vertices made ready ahead, the scans that are there."""
 
 from __future__ import annotations
 

@@ -97,6 +97,9 @@ class Track(Protocol):
     def scan(self, index: int) -> ShownScan:
         """The scan of a frame; it never raises: one that cannot be read has a note."""
 
+    def stance(self) -> Stance:
+        """How the person stands in the first frame that did not fail; needs a frame."""
+
     def refresh(self) -> bool:
         """Read what has been written since; whether frames that were there have changed."""
 
