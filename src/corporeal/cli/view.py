@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import webbrowser
+from functools import partial
 
 from rich.console import Console
 
@@ -32,7 +33,7 @@ def run(config: View) -> int:
     try:
         # The first one's model is read here, so that a broken one ends the command and not the page.
         next(track for track in tracks if track.rows).stance()
-        page = PlayerPage(tracks, WORST_MM, config.port)
+        page = PlayerPage(tracks, partial(find_tracks, config.folder, config.scans), WORST_MM, config.port)
     except (TrackFileError, OSError, PortError) as error:
         raise CommandError(f"view: {error}", 2) from error
     if config.port not in (0, page.port):

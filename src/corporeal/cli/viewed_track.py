@@ -242,7 +242,10 @@ class ViewedTrack:
                 return FrameRow(name, "failed", _DAMAGED, None)
         seen = tuple(
             (key.removesuffix("_seen").replace("_", " "), float(share))
-            for key, share in sorted(item["signals"].items())
+            # The whole model first, then its hands.
+            for key, share in sorted(
+                item["signals"].items(), key=lambda signal: ("hand" in signal[0], signal)
+            )
             if key.endswith("_seen") and share is not None
         )
         mean = (item["s2m_mm"] or {}).get("mean")

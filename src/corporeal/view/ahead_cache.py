@@ -25,13 +25,14 @@ class AheadCache(Generic[T]):
         """Start the thread.
 
         Args:
-            load: gives the value of a number; called in the thread. It must not raise.
+            load: gives the value of a number; called in the thread.
             kept: most values that are kept; at least one.
             on_loaded: told of a number when its value is there, in the thread.
         """
         self._load, self._kept, self._on_loaded = load, max(1, kept), on_loaded
         self.seconds = 0.0
         self._values: OrderedDict[int, T] = OrderedDict()
+        self._failures: dict[int, Exception] = {}
         self._wanted: list[int] = []
         self._generation = 0
         self._closed = False
@@ -64,11 +65,14 @@ class AheadCache(Generic[T]):
         """The value; it is the next to be loaded and waited for where it is not there.
 
         Raises:
+            RuntimeError: it could not be loaded; the next call tries again.
             TimeoutError: it did not come, or the cache was closed.
         """
         ends = time.monotonic() + timeout
         with self._changed:
             while number not in self._values:
+                if number in self._failures:
+                    raise RuntimeError(f"number {number} could not be loaded") from self._failures.pop(number)
                 left = ends - time.monotonic()
                 if self._closed or left <= 0:
                     raise TimeoutError(f"number {number} was not loaded within {timeout:g} s")
@@ -83,18 +87,25 @@ class AheadCache(Generic[T]):
         """Drop all values; one that is just being loaded too."""
         with self._changed:
             self._values.clear()
+            self._failures.clear()
             self._generation += 1
             self._changed.notify_all()
 
-    def close(self) -> None:
-        """Stop after the value that is being loaded, which is not waited for."""
+    def close(self, wait: float = 0.0) -> None:
+        """Stop after the value that is being loaded.
+
+        Args:
+            wait: for it, at most so many seconds.
+        """
         with self._changed:
             self._closed = True
             self._wanted.clear()
             self._changed.notify_all()
+        self._thread.join(timeout=wait)
 
     def _next(self) -> int | None:
-        return next((number for number in self._wanted if number not in self._values), None)
+        known = (self._values, self._failures)
+        return next((number for number in self._wanted if not any(number in there for there in known)), None)
 
     def _work(self) -> None:
         while True:
@@ -105,7 +116,14 @@ class AheadCache(Generic[T]):
                 if self._closed or number is None:
                     return
             begun = time.perf_counter()
-            value = self._load(number)
+            try:
+                value = self._load(number)
+            except Exception as error:
+                # One value must not end the thread; whoever takes it is told.
+                with self._changed:
+                    self._failures[number] = error
+                    self._changed.notify_all()
+                continue
             seconds = time.perf_counter() - begun
             with self._changed:
                 if generation != self._generation:

@@ -115,10 +115,14 @@ class Player:
         """Read scans anew: they may lie elsewhere, or have been missing."""
         self._scans.forget()
 
-    def close(self) -> None:
-        """Stop loading."""
-        self._blocks.close()
-        self._scans.close()
+    def close(self, wait: float = 0.0) -> None:
+        """Stop loading.
+
+        Args:
+            wait: for what is being loaded, at most so many seconds each.
+        """
+        self._blocks.close(wait)
+        self._scans.close(wait)
 
     def _posed(self, block: int) -> Float32[np.ndarray, "n V 3"]:
         start = block * BLOCK

@@ -42,17 +42,21 @@ class PlayerPage:
         port: that it listens on.
     """
 
-    def __init__(self, tracks: Sequence[Track], worst_mm: float, port: int = 0) -> None:
+    def __init__(
+        self, tracks: Sequence[Track], find: Callable[[], Sequence[Track]], worst_mm: float, port: int = 0
+    ) -> None:
         """Start to serve.
 
         Args:
-            tracks: at least one with frames; they have been read.
+            tracks: that are there, read; at least one of them with frames.
+            find: gives those that are there when the user refreshes: further ones may have come.
             worst_mm: distance that has the last colour of the scale.
             port: to listen on; 0 for any. If it is taken, the next free one.
 
         Raises:
             PortError: no port can be listened on.
         """
+        self._find = find
         self._tracks = {track.name: track for track in tracks}
         self._actions: queue.Queue[Action | None] = queue.Queue()
         self._player: Player | None = None
@@ -61,7 +65,7 @@ class PlayerPage:
         self._server, self.port, self.url = self._guarded.viser, self._guarded.port, self._guarded.url
         self._scene = PlayerScene(self._server)
         self._build_panel(worst_mm)
-        first = next(track.name for track in tracks if track.rows)
+        first = next(name for name, track in self._tracks.items() if track.rows)
         self._thread = threading.Thread(target=self._work, name="player", daemon=True)
         self._actions.put(("select", first))
         self._thread.start()
@@ -74,7 +78,7 @@ class PlayerPage:
     def close(self) -> None:
         """Stop serving."""
         self._actions.put(None)
-        self._thread.join(timeout=10)
+        self._thread.join(timeout=15)
         self._guarded.stop()
 
     def _build_panel(self, worst_mm: float) -> None:
@@ -144,7 +148,8 @@ class PlayerPage:
                 # A frame that cannot be drawn must not end the page.
                 self._say(f"{type(error).__name__}: {error}")
         if self._player is not None:
-            self._player.close()
+            # Threads that compute must not be cut off by the end of the process.
+            self._player.close(wait=5.0)
 
     def _pause(self) -> float | None:
         return None if self._player is None else self._player.clock.next_change(time.monotonic())
@@ -168,8 +173,9 @@ class PlayerPage:
         if not track.rows:
             track.refresh()
         if not track.rows:
-            self._say(f"{name}: {track.note or 'no frame yet'}")
+            self._scene.clear()
             self._strip.content = self._problems.content = ""
+            self._say(f"{name}: {track.note or 'no frame yet'}")
             return
         self._message = track.note
         self._player = Player(track, lambda index: self._actions.put(("scan", index)))
@@ -180,6 +186,11 @@ class PlayerPage:
             self._picker.value = name
 
     def _refresh(self, now: float) -> None:
+        known = set(self._tracks)
+        self._tracks |= {track.name: track for track in self._find() if track.name not in known}
+        if len(self._tracks) > len(known):
+            self._picker.options = tuple(self._tracks)
+            self._picker.visible = True
         if self._player is None:
             self._select(self._picker.value)
             return
@@ -235,7 +246,7 @@ class PlayerPage:
                 self._slider.value = frame.index + 1
 
     def _scan_words(self, player: Player, frame: PlayedFrame) -> str:
-        there = f"{player.scans_there} of {player.clock.count} read"
+        there = f"{player.scans_there} of {player.clock.count} in memory"
         if not player.scans_wanted:
             return "not shown"
         if frame.scan is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -25,10 +26,10 @@ if(!window.corporealKeys){window.corporealKeys=%s;
 const typing=t=>t.matches&&t.matches('textarea,[contenteditable=true],input:not([type=checkbox])')&&
  t.getAttribute('aria-expanded')!=='false'&&!t.readOnly;
 const taken=e=>window.corporealKeys[e.key]&&!e.ctrlKey&&!e.altKey&&!e.metaKey&&!typing(e.target);
-addEventListener('keydown',e=>{if(!taken(e))return;e.preventDefault();e.stopPropagation();
+window.addEventListener('keydown',e=>{if(!taken(e))return;e.preventDefault();e.stopPropagation();
  const action=window.corporealKeys[e.key];if(action==='toggle'&&e.repeat)return;
  fetch('/do?action='+action)},true);
-addEventListener('keyup',e=>{if(taken(e)){e.preventDefault();e.stopPropagation()}},true)}
+window.addEventListener('keyup',e=>{if(taken(e)){e.preventDefault();e.stopPropagation()}},true)}
 """
 
 
@@ -61,7 +62,7 @@ class PlayerWords:
 
 def keys_html() -> str:
     """An element without a face that takes the keys of the player."""
-    script = html.escape(_SCRIPT % _KEYS, quote=True)
+    script = html.escape(_SCRIPT % json.dumps(_KEYS), quote=True)
     return f'<img alt="" src="data:," style="display:none" onerror="{script}">'
 
 
@@ -114,10 +115,10 @@ def strip_html(rows: Sequence[FrameRow], index: int) -> str:
     click = html.escape(_SENT.format(frame=frame), quote=True)
     place = 100 * (index + 0.5) / count
     return (
-        f'<div style="margin:0 1em;position:relative;cursor:pointer" onclick="{click}" '
+        f'<div style="margin:0.4em 1em;position:relative;cursor:pointer" onclick="{click}" '
         f'title="scan to model, up to {top:.0f} mm; click to go there">'
         f"<svg style='display:block;width:100%;height:{_HEIGHT}px;background:#eef0f2;border-radius:3px' "
-        f"viewBox='0 0 {count} {_HEIGHT}' preserveAspectRatio='none'>{''.join(shapes)}</svg>"
+        f"viewBox='0 0 {count} {_HEIGHT}' preserveAspectRatio='none' shape-rendering='crispEdges'>{''.join(shapes)}</svg>"
         f"<div style='position:absolute;top:-3px;bottom:-3px;width:2px;background:#26282c;"
         f"left:calc({place:.2f}% - 1px)'></div></div>"
     )
@@ -127,7 +128,9 @@ def problems_html(rows: Sequence[FrameRow]) -> str:
     """Stretches of frames that are not ok, each a link to its first frame."""
     stretches = _stretches(rows)
     if not stretches:
-        return "<div id='problems' style='margin:0 1em;font-size:0.85em;color:#667'>all frames are ok</div>"
+        return (
+            "<div id='problems' style='margin:0.3em 1em;font-size:0.85em;color:#667'>all frames are ok</div>"
+        )
     counts = ", ".join(
         f"{number} {status}"
         for status in STATUS_COLOURS
@@ -147,14 +150,14 @@ def problems_html(rows: Sequence[FrameRow]) -> str:
     if len(stretches) > _MOST_STRETCHES:
         lines.append(f"<span style='color:#667'>and {len(stretches) - _MOST_STRETCHES} more</span>")
     content = "<br>".join(lines)
-    return f"<div id='problems' style='margin:0 1em;font-size:0.85em;line-height:1.4'>{content}</div>"
+    return f"<div id='problems' style='margin:0.3em 1em;font-size:0.85em;line-height:1.4'>{content}</div>"
 
 
 def legend_html(worst_mm: float) -> str:
     """What the colours of the scan mean."""
     steps = " &nbsp; ".join(f"{worst_mm * share:.0f}" for share in (0, 0.25, 0.5, 0.75, 1))
     return (
-        "<div style='margin:0 1em;font-size:0.85em'><span style='background:linear-gradient(90deg,#264085,"
+        "<div style='margin:0.3em 1em;font-size:0.85em'><span style='background:linear-gradient(90deg,#264085,"
         "#3385b8,#99d1ad,#fae68c,#f08540,#a60d1f);color:#fff;padding:1px 6px;border-radius:3px'>"
         f"{steps} mm</span> scan to model</div>"
     )

@@ -15,6 +15,7 @@ _MODEL_COLOURS = {"ok": (236, 189, 161), "doubtful": (240, 190, 105), "failed": 
 _PLAIN = (92, 124, 158)
 _STAGE = "/stage"
 _THROUGH = 0.6
+_LEFT = 0.45
 _FIELD_OF_VIEW = np.radians(38)
 _PLANES = ("yz", "xz", "xy")
 
@@ -46,6 +47,7 @@ class PlayerScene:
         self._mesh: Any = None
         self._cloud: Any = None
         self._stage: Any = None
+        self._posed: np.ndarray | None = None
         self._drawn: ShownScan | None = None
         self._coloured = True
         self._status = ""
@@ -63,8 +65,7 @@ class PlayerScene:
         self._stance, size = stance, stance.height
         scene = self._server.scene
         with self._server.atomic():
-            if self._stage is not None:
-                self._stage.remove()
+            self.clear()
             scene.set_up_direction(tuple(stance.up))
             self._stage = scene.add_frame(_STAGE, show_axes=False)
             self._mesh = scene.add_mesh_simple(
@@ -80,9 +81,14 @@ class PlayerScene:
                 point_shape="circle", point_shading="flat", visible=False,
             )  # fmt: skip
             self._ground(stance)
-        self._drawn, self._status = None, ""
+        self._posed, self._drawn, self._status = vertices, None, ""
         self._sideways = np.cross(-stance.front, stance.up) * 0.62 * size
-        self._look(beside=True)
+
+    def clear(self) -> None:
+        """Show nothing."""
+        if self._stage is not None:
+            self._stage.remove()
+        self._stage = None
 
     def show(
         self, status: str, vertices: Float32[np.ndarray, "V 3"], scan: ShownScan | None, shown: Shown
@@ -104,13 +110,16 @@ class PlayerScene:
 
     def reset_view(self, beside: bool) -> None:
         """Look at the person's front again, in all browsers."""
-        self._look(beside)
+        if self._stage is not None:
+            self._look(beside)
 
     def _show_model(self, status: str, vertices: Float32[np.ndarray, "V 3"], shown: Shown) -> None:
         self._mesh.visible = shown.model
         if not shown.model:
             return
-        self._mesh.vertices = vertices
+        # While it stands, scans that come in are drawn, and the model need not be sent again.
+        if self._posed is None or not np.array_equal(self._posed, vertices):
+            self._mesh.vertices, self._posed = vertices, vertices
         opacity = None if shown.beside or not shown.scan else _THROUGH
         if self._mesh.opacity != opacity:
             self._mesh.opacity = opacity
@@ -147,8 +156,9 @@ class PlayerScene:
 
     def _look(self, beside: bool) -> None:
         stance = self._stance
-        centre = stance.centre + (0.5 * self._sideways if beside else 0.0)
-        eye = centre + stance.height * (1.9 * stance.front + 0.25 * stance.up)
+        # The panel covers the right: what is looked at stands left of the middle.
+        centre = stance.centre + (0.5 * beside + _LEFT) * self._sideways
+        eye = centre + stance.height * (1.95 * stance.front + 0.25 * stance.up)
         initial = self._server.initial_camera
         cameras: list[Any] = [initial, *(client.camera for client in self._server.get_clients().values())]
         for camera in cameras:
