@@ -83,10 +83,14 @@ class AheadCache(Generic[T]):
             self._values.move_to_end(number)
             return self._values[number]
 
-    def forget(self) -> None:
-        """Drop all values; one that is just being loaded too."""
+    def forget(self, kept: Callable[[T], bool] = lambda value: False) -> None:
+        """Drop values, one that is just being loaded too.
+
+        Args:
+            kept: tells which ones stay all the same.
+        """
         with self._changed:
-            self._values.clear()
+            self._values = OrderedDict((key, value) for key, value in self._values.items() if kept(value))
             self._failures.clear()
             self._generation += 1
             self._changed.notify_all()

@@ -11,7 +11,7 @@ from jaxtyping import Float32
 
 from corporeal.view.ahead_cache import AheadCache
 from corporeal.view.frame_clock import FrameClock
-from corporeal.view.track import FrameRow, ShownScan, Track
+from corporeal.view.track import FrameRow, ShownScan, Track, problem_stretches
 
 # A batch is posed in little more time than one frame alone: the correctives' matrix is read once for all.
 BLOCK = 16
@@ -77,19 +77,14 @@ class Player:
         scan_index, scan = self._scan_for(index)
         return PlayedFrame(index, self.track.rows[index], vertices, scan, scan_index)
 
-    def problems(self) -> list[int]:
-        """Frames that are not ok."""
-        return [index for index, row in enumerate(self.track.rows) if row.status != "ok"]
-
     def next_problem(self, by: int, now: float) -> int | None:
-        """The first frame of the next stretch of frames that are not ok (or of the one before); or None.
+        """The first frame of the next stretch of frames that are not ok, round the end; None without any.
 
         Args:
             by: 1 for the next, -1 for the one before.
             now: the moment.
         """
-        statuses = [row.status for row in self.track.rows]
-        starts = [i for i in self.problems() if i == 0 or statuses[i - 1] != statuses[i]]
+        starts = [first for first, _ in problem_stretches(self.track.rows)]
         if not starts:
             return None
         here = self.clock.frame(now)
@@ -105,15 +100,11 @@ class Player:
         count = len(self.track.rows)
         if count:
             self.clock.resize(count, now)
-        if changed:
-            self.forget_scans()
+        # Scans that could not be read may be there now; colours of frames that changed are those of before.
+        self._scans.forget(lambda scan: not changed and not scan.note)
         # The last block may have been a part of one.
         self._blocks.forget()
         return count - before
-
-    def forget_scans(self) -> None:
-        """Read scans anew: they may lie elsewhere, or have been missing."""
-        self._scans.forget()
 
     def close(self, wait: float = 0.0) -> None:
         """Stop loading.

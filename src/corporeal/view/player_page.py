@@ -28,6 +28,8 @@ from corporeal.view.player_scene import PlayerScene, Shown
 from corporeal.view.track import Track
 
 _KEY_ACTIONS = ("toggle", "next", "previous", "first", "last", "next_problem", "previous_problem")
+_QUIET = ("draw", "scan")
+"""What no user asked for: time goes on, and scans come in."""
 _OVER, _BESIDE = "over the model", "beside the model"
 # Words, strip and slider cost the browser more than the mesh: ten times a second while it plays.
 _PANEL_SECONDS = 0.1
@@ -141,9 +143,11 @@ class PlayerPage:
             if action is None:
                 break
             try:
+                if action[0] not in _QUIET:
+                    self._message = ""
                 self._act(*action)
                 if self._actions.empty():
-                    self._draw(action[0] not in ("draw", "scan"))
+                    self._draw(action[0] not in _QUIET)
             except Exception as error:
                 # A frame that cannot be drawn must not end the page.
                 self._say(f"{type(error).__name__}: {error}")
@@ -198,7 +202,8 @@ class PlayerPage:
         if not self._player.track.rows:
             self._select(self._player.track.name)
             return
-        self._message = self._player.track.note or (f"{more} frames more" if more > 0 else "no new frames")
+        news = f"{more} more frame{'s' * (more > 1)}" if more > 0 else "no new frames"
+        self._message = self._player.track.note or news
         self._told_rows()
 
     def _told_rows(self) -> None:
@@ -233,7 +238,7 @@ class PlayerPage:
         words = PlayerWords(
             player.track.name, frame.index, len(rows), frame.index / player.clock.fps, frame.row, playing,
             self._scan_words(player, frame), frame.scan_index if frame.scan is not None else None,
-            self._message or (frame.scan.note if frame.scan is not None else ""),
+            "; ".join(filter(None, (self._message, frame.scan.note if frame.scan is not None else ""))),
         )  # fmt: skip
         with self._server.atomic():
             self._words.content = words_html(words)

@@ -7,7 +7,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from corporeal.view.track import FrameRow
+from corporeal.view.track import FrameRow, problem_stretches
 
 STATUS_COLOURS = {"ok": "#3a9a5b", "doubtful": "#d98e2b", "failed": "#c2413b"}
 _UNKNOWN = "#8a8f98"
@@ -118,7 +118,8 @@ def strip_html(rows: Sequence[FrameRow], index: int) -> str:
         f'<div style="margin:0.4em 1em;position:relative;cursor:pointer" onclick="{click}" '
         f'title="scan to model, up to {top:.0f} mm; click to go there">'
         f"<svg style='display:block;width:100%;height:{_HEIGHT}px;background:#eef0f2;border-radius:3px' "
-        f"viewBox='0 0 {count} {_HEIGHT}' preserveAspectRatio='none' shape-rendering='crispEdges'>{''.join(shapes)}</svg>"
+        f"viewBox='0 0 {count} {_HEIGHT}' preserveAspectRatio='none' "
+        f"shape-rendering='crispEdges'>{''.join(shapes)}</svg>"
         f"<div style='position:absolute;top:-3px;bottom:-3px;width:2px;background:#26282c;"
         f"left:calc({place:.2f}% - 1px)'></div></div>"
     )
@@ -126,7 +127,7 @@ def strip_html(rows: Sequence[FrameRow], index: int) -> str:
 
 def problems_html(rows: Sequence[FrameRow]) -> str:
     """Stretches of frames that are not ok, each a link to its first frame."""
-    stretches = _stretches(rows)
+    stretches = problem_stretches(rows)
     if not stretches:
         return (
             "<div id='problems' style='margin:0.3em 1em;font-size:0.85em;color:#667'>all frames are ok</div>"
@@ -155,11 +156,11 @@ def problems_html(rows: Sequence[FrameRow]) -> str:
 
 def legend_html(worst_mm: float) -> str:
     """What the colours of the scan mean."""
-    steps = " &nbsp; ".join(f"{worst_mm * share:.0f}" for share in (0, 0.25, 0.5, 0.75, 1))
     return (
-        "<div style='margin:0.3em 1em;font-size:0.85em'><span style='background:linear-gradient(90deg,#264085,"
-        "#3385b8,#99d1ad,#fae68c,#f08540,#a60d1f);color:#fff;padding:1px 6px;border-radius:3px'>"
-        f"{steps} mm</span> scan to model</div>"
+        "<div style='margin:0.3em 1em;font-size:0.85em'>scan to model "
+        "<span style='background:linear-gradient(90deg,#264085,#3385b8,#99d1ad,#fae68c,#f08540,#a60d1f);"
+        "color:#fff;padding:1px 6px;border-radius:3px'>"
+        f"0 &nbsp; &nbsp; {worst_mm / 2:g} &nbsp; &nbsp; {worst_mm:g} mm</span></div>"
     )
 
 
@@ -185,17 +186,3 @@ def _binned(rows: Sequence[FrameRow]) -> list[tuple[str, float | None]]:
         means = [row.s2m_mm for row in part if row.s2m_mm is not None]
         bins.append((worst, max(means) if means else None))
     return bins
-
-
-def _stretches(rows: Sequence[FrameRow]) -> list[tuple[int, int]]:
-    """(first, last) of frames that follow one another with the same status and reason, but ok."""
-    found: list[tuple[int, int]] = []
-    for index, row in enumerate(rows):
-        if row.status == "ok":
-            continue
-        before = rows[found[-1][1]] if found and found[-1][1] == index - 1 else None
-        if before is not None and (before.status, before.reason) == (row.status, row.reason):
-            found[-1] = (found[-1][0], index)
-        else:
-            found.append((index, index))
-    return found

@@ -15,7 +15,7 @@ _MODEL_COLOURS = {"ok": (236, 189, 161), "doubtful": (240, 190, 105), "failed": 
 _PLAIN = (92, 124, 158)
 _STAGE = "/stage"
 _THROUGH = 0.6
-_LEFT = 0.45
+_LEFT = 0.4
 _FIELD_OF_VIEW = np.radians(38)
 _PLANES = ("yz", "xz", "xy")
 

@@ -124,3 +124,17 @@ def stance_of(
     centre = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0)).astype(np.float64)
     floor, top = float(heights.min()), float(heights.max())
     return Stance(level_up, level / np.linalg.norm(level), centre, floor, top - floor)
+
+
+def problem_stretches(rows: Sequence[FrameRow]) -> list[tuple[int, int]]:
+    """(first, last) of frames that follow one another, are not ok, and have the same status and reason."""
+    found: list[tuple[int, int]] = []
+    for index, row in enumerate(rows):
+        if row.status == "ok":
+            continue
+        before = rows[found[-1][1]] if found and found[-1][1] == index - 1 else None
+        if before is not None and (before.status, before.reason) == (row.status, row.reason):
+            found[-1] = (found[-1][0], index)
+        else:
+            found.append((index, index))
+    return found
