@@ -17,7 +17,6 @@ class MadeTrack:
     def __init__(self, statuses):
         self.statuses, self.later, self.changed = list(statuses), [], False
         self.let = threading.Event()
-        self.faces = np.array([[0, 1, 2]])
         self.blocks, self.scans = [], []
 
     @property
@@ -27,6 +26,9 @@ class MadeTrack:
             FrameRow(f"{i:04d}", words[letter], "", None if letter == "f" else 2.0)
             for i, letter in enumerate(self.statuses)
         ]
+
+    def faces(self):
+        return np.array([[0, 1, 2]])
 
     def vertices(self, start, stop):
         self.blocks.append((start, stop))

@@ -98,7 +98,6 @@ class ViewedTrack:
         """The frames that are there."""
         return self._now.rows
 
-    @property
     def faces(self) -> Int[np.ndarray, "F 3"]:
         """Of the model; ``TrackFileError`` where it cannot be read."""
         return self._module().model.faces

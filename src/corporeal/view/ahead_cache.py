@@ -72,7 +72,9 @@ class AheadCache(Generic[T]):
         with self._changed:
             while number not in self._values:
                 if number in self._failures:
-                    raise RuntimeError(f"number {number} could not be loaded") from self._failures.pop(number)
+                    error = self._failures.pop(number)
+                    self._changed.notify_all()
+                    raise RuntimeError(f"number {number} could not be loaded") from error
                 left = ends - time.monotonic()
                 if self._closed or left <= 0:
                     raise TimeoutError(f"number {number} was not loaded within {timeout:g} s")

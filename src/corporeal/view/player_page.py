@@ -183,7 +183,7 @@ class PlayerPage:
             return
         self._message = track.note
         self._player = Player(track, lambda index: self._actions.put(("scan", index)))
-        self._scene.start(track.stance(), track.vertices(0, 1)[0], track.faces)
+        self._scene.start(track.stance(), track.vertices(0, 1)[0], track.faces())
         self._scene.reset_view(self._shown().beside)
         self._told_rows()
         if self._picker.value != name:

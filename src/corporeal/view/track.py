@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Float32, Int, UInt8
@@ -68,6 +68,7 @@ class Stance:
     height: float
 
 
+@runtime_checkable
 class Track(Protocol):
     """One tracked sequence. ``vertices`` and ``scan`` are called in threads of their own."""
 
@@ -83,7 +84,6 @@ class Track(Protocol):
     def fps(self) -> float:
         """Frames per second."""
 
-    @property
     def faces(self) -> Int[np.ndarray, "F 3"]:
         """Of the model."""
 
