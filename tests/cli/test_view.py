@@ -3,6 +3,7 @@
 import contextlib
 import importlib.util
 import json
+import os
 import queue
 import shutil
 import signal
@@ -148,8 +149,6 @@ def test_rows_of_the_report_are_taken_where_no_record_is_newer(folder):
     record = folder / "frames" / "0001.npz"
     content = record.read_bytes()
     record.write_bytes(content)
-    import os
-
     later = (folder / "report.json").stat().st_mtime_ns + 10**9
     os.utime(record, ns=(later, later))
     assert [row.reason for row in read(folder).rows] == [

@@ -27,8 +27,9 @@ from corporeal.fitting.files import (
 )
 from corporeal.geometry.closest_points import SurfaceTree
 from corporeal.model.files import ModelFileError, load_model
-from corporeal.model.module import SurfaceModule
 from corporeal.model.pose import FullPose
+from corporeal.model.reference import reference_surface
+from corporeal.model.surface_model import SurfaceModel
 from corporeal.registration.session.files import read_json_file
 from corporeal.registration.subjects import subject_of
 from corporeal.scans.files import read_scan_points
@@ -39,6 +40,8 @@ from corporeal.view.track import FrameRow, ShownScan, Stance, stance_of
 _POINTS = 20_000
 _FAR = 0.05
 """Points farther than this from the model (floor, another person) have no colour; metres."""
+# Kernels with threads of their own may not run in two threads at once on every platform.
+_KERNELS = threading.Lock()
 _DAMAGED = "the record of this frame cannot be read: it is damaged, or being written anew"
 
 
@@ -78,10 +81,8 @@ class ViewedTrack:
         """
         self.folder, self.note, self._scans = folder, "", scans
         self._now = _Contents()
-        self._model: tuple[int, SurfaceModule] | None = None
-        self._tree: tuple[SurfaceModule, SurfaceTree] | None = None
-        # Kernels with threads of their own must not run in two threads at once on every platform.
-        self._kernels = threading.Lock()
+        self._model: tuple[int, SurfaceModel] | None = None
+        self._tree: tuple[SurfaceModel, SurfaceTree] | None = None
 
     @property
     def name(self) -> str:
@@ -100,7 +101,7 @@ class ViewedTrack:
 
     def faces(self) -> Int[np.ndarray, "F 3"]:
         """Of the model; ``TrackFileError`` where it cannot be read."""
-        return self._module().model.faces
+        return self._subject().faces
 
     def refresh(self) -> bool:
         """Read what has been written since; whether frames that were there have changed.
@@ -149,11 +150,13 @@ class ViewedTrack:
     def vertices(self, start: int, stop: int) -> Float32[np.ndarray, "n V 3"]:
         """The model in these frames, metres, posed in float32; a record that is damaged stands as before."""
         poses, places = self._poses(start, stop)
-        module = self._module()
-        pose = FullPose(torch.from_numpy(poses.astype(np.float32)))
-        with self._kernels, torch.no_grad():
-            surface = module(None, pose, translation=torch.from_numpy(places.astype(np.float32)))
-        return surface.vertices.numpy()
+        matrices = FullPose(torch.from_numpy(poses.astype(np.float32))).matrices()
+        moved = torch.from_numpy(places.astype(np.float32))
+        model = self._subject()
+        # Plain torch: for a few frames as fast as the kernels, which would first be compiled, for a minute.
+        with torch.no_grad():
+            tensors, nothing = model.tensors(torch.float32), torch.zeros(len(poses), 0)
+            return reference_surface(tensors, nothing, matrices, moved, True).vertices.numpy()
 
     def scan(self, index: int) -> ShownScan:
         """The scan of a frame, thinned, by its distance to the model; or why there is none."""
@@ -180,23 +183,23 @@ class ViewedTrack:
         return None if folder is None else Path(folder) / file
 
     def _shown(self, index: int, path: Path) -> ShownScan:
-        module = self._module()
+        model = self._subject()
         unit: UnitChoice = (self._now.story or {}).get("unit", "auto")
-        points = read_scan_points(path, unit, subject_of(module.model).extent)
+        points = read_scan_points(path, unit, subject_of(model).extent)
         if len(points) > _POINTS:
             points = points[np.random.default_rng(0).permutation(len(points))[:_POINTS]]
         errors = np.full(len(points), np.nan)
         if self.rows[index].status != "failed":
             vertices = self.vertices(index, index + 1)[0].astype(np.float64)
-            with self._kernels:
-                metres = self._tree_at(module, vertices).closest(points).distances
+            with _KERNELS:
+                metres = self._tree_at(model, vertices).closest(points).distances
             errors = np.where(metres < _FAR, 1e3 * metres, np.nan)
         colours = error_colours(errors * (LARGEST_ERROR_MM / WORST_MM))
         return ShownScan(points.astype(np.float32), (255 * colours + 0.5).astype(np.uint8))
 
-    def _tree_at(self, module: SurfaceModule, vertices: Float[np.ndarray, "V 3"]) -> SurfaceTree:
-        if self._tree is None or self._tree[0] is not module:
-            self._tree = (module, SurfaceTree(vertices, module.model.faces))
+    def _tree_at(self, model: SurfaceModel, vertices: Float[np.ndarray, "V 3"]) -> SurfaceTree:
+        if self._tree is None or self._tree[0] is not model:
+            self._tree = (model, SurfaceTree(vertices, model.faces))
         self._tree[1].refit(vertices)
         return self._tree[1]
 
@@ -216,7 +219,7 @@ class ViewedTrack:
         poses, places = zip(*found, strict=True)
         return np.stack(poses).astype(np.float64), np.stack(places).astype(np.float64)
 
-    def _module(self) -> SurfaceModule:
+    def _subject(self) -> SurfaceModel:
         """The subject's model, read again where a restarted run has written another."""
         path = self.folder / TEMPLATE
         stamp = _stamp(path)
@@ -226,7 +229,7 @@ class ViewedTrack:
             return self._model[1]
         if self._model is None or self._model[0] != stamp[0]:
             try:
-                self._model = (stamp[0], SurfaceModule(load_model(path)))
+                self._model = (stamp[0], load_model(path))
             except ModelFileError as error:
                 raise TrackFileError(f"{error}; track the sequence again with --restart") from error
         return self._model[1]
