@@ -77,8 +77,8 @@ class PlayerScene:
             )
             # The browser complains of a cloud without points.
             self._cloud = scene.add_point_cloud(
-                f"{_STAGE}/scan", np.zeros((1, 3), np.float32), _PLAIN, point_size=0.0035 * size, precision="float32",
-                point_shape="circle", point_shading="flat", visible=False,
+                f"{_STAGE}/scan", np.zeros((1, 3), np.float32), _PLAIN, point_size=0.0035 * size,
+                precision="float32", point_shape="circle", point_shading="flat", visible=False,
             )  # fmt: skip
             self._ground(stance)
         self._posed, self._drawn, self._status = vertices, None, ""
