@@ -10,6 +10,8 @@ import signal
 import subprocess
 import sys
 import threading
+import urllib.error
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -166,6 +168,7 @@ def test_all_sequences_of_a_folder_are_found_and_so_is_the_folder_of_one(sequenc
     tracks = find_tracks(out, None)
     assert [(track.name, len(track.rows)) for track in tracks] == [("a-failed", 0), ("open-hand", 4)]
     assert "nobody is there" in tracks[0].note
+    assert [track.name for track in find_tracks(out, None, ["open-hand"])] == ["a-failed"]
     assert [track.name for track in find_tracks(folder, None)] == ["open-hand"]
     monkeypatch.chdir(folder)
     assert [track.name for track in find_tracks(Path("."), None)] == ["open-hand"]
@@ -263,6 +266,15 @@ def colours_of(page, path: Path) -> int:
     return len(np.unique(np.asarray(Image.open(path).convert("RGB")).reshape(-1, 3), axis=0))
 
 
+def status_of(address: str) -> int:
+    try:
+        with urllib.request.urlopen(address, timeout=30) as answer:
+            return answer.status
+    except urllib.error.HTTPError as error:
+        error.close()
+        return error.code
+
+
 def shown(page, words: str) -> None:
     page.wait_for_selector(f"#player{words}", timeout=90_000, state="attached")
 
@@ -270,6 +282,7 @@ def shown(page, words: str) -> None:
 @pytest.mark.slow
 def test_the_page_plays_steps_jumps_and_reads_later_frames(sequence, folder, tmp_path):
     with served(folder.parent) as (address, process):
+        assert status_of(address.partition("?")[0] + "do?action=toggle") == 403
         with browser() as page:
             page.goto(address)
             assert "token" not in page.url

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 
 from corporeal.cli.errors import CommandError
@@ -18,7 +19,7 @@ from corporeal.registration.session.files import (
 from corporeal.scans.formats.sequence import LIST
 
 
-def find_tracks(folder: Path, scans: Path | None) -> list[ViewedTrack]:
+def find_tracks(folder: Path, scans: Path | None, known: Collection[str] = ()) -> list[ViewedTrack]:
     """The sequences of a folder that ``corporeal track`` wrote to, or the one whose folder it is.
 
     All have been read; some may have no frame, and a note.
@@ -26,9 +27,10 @@ def find_tracks(folder: Path, scans: Path | None) -> list[ViewedTrack]:
     Args:
         folder: that the command names.
         scans: where the scans lie, if not where the results say.
+        known: names of sequences that were found before; they are left out.
 
     Raises:
-        CommandError: the folder holds no track, or none with a frame.
+        CommandError: the folder holds no track, or none with a frame, and none was known before.
     """
     if not folder.is_dir():
         what = "is a file" if folder.exists() else "does not exist"
@@ -40,17 +42,17 @@ def find_tracks(folder: Path, scans: Path | None) -> list[ViewedTrack]:
     try:
         # Its name is the sequence's, which "." has none of.
         places = [folder.resolve()] if _is_track(folder) else _tracks_in(folder)
-        tracks = [ViewedTrack(place, scans) for place in places]
+        tracks = [ViewedTrack(place, scans) for place in places if place.name not in known]
     except OSError as error:
         raise CommandError(f"{folder}: cannot be read ({error.strerror or error})", 2) from error
-    if not tracks:
+    if not places:
         raise CommandError(_what_else(folder), 2)
     for track in tracks:
         try:
             track.refresh()
         except (TrackFileError, SessionFolderError, OSError) as error:
             track.note = str(error)
-    if not any(track.rows for track in tracks):
+    if not known and not any(track.rows for track in tracks):
         notes = "; ".join(f"{track.name}: {track.note or 'no frame yet'}" for track in tracks[:3])
         raise CommandError(f"{folder}: holds no tracked frame ({notes})")
     return tracks

@@ -7,7 +7,7 @@ import http
 import queue
 import threading
 import time
-from collections.abc import Callable, Coroutine, Mapping, Sequence
+from collections.abc import Callable, Collection, Coroutine, Mapping, Sequence
 from typing import Any
 
 from viser import Icon
@@ -45,13 +45,17 @@ class PlayerPage:
     """
 
     def __init__(
-        self, tracks: Sequence[Track], find: Callable[[], Sequence[Track]], worst_mm: float, port: int = 0
+        self,
+        tracks: Sequence[Track],
+        find: Callable[[Collection[str]], Sequence[Track]],
+        worst_mm: float,
+        port: int = 0,
     ) -> None:
         """Start to serve.
 
         Args:
             tracks: that are there, read; at least one of them with frames.
-            find: gives those that are there when the user refreshes: further ones may have come.
+            find: gives those that have come when the user refreshes, but for the names that it is told.
             worst_mm: distance that has the last colour of the scale.
             port: to listen on; 0 for any. If it is taken, the next free one.
 
@@ -174,8 +178,7 @@ class PlayerPage:
         if self._player is not None:
             self._player.close()
             self._player = None
-        if not track.rows:
-            track.refresh()
+        track.refresh()
         if not track.rows:
             self._scene.clear()
             self._strip.content = self._problems.content = ""
@@ -190,9 +193,9 @@ class PlayerPage:
             self._picker.value = name
 
     def _refresh(self, now: float) -> None:
-        known = set(self._tracks)
-        self._tracks |= {track.name: track for track in self._find() if track.name not in known}
-        if len(self._tracks) > len(known):
+        found = self._find(tuple(self._tracks))
+        self._tracks |= {track.name: track for track in found}
+        if found:
             self._picker.options = tuple(self._tracks)
             self._picker.visible = True
         if self._player is None:
