@@ -45,6 +45,9 @@ class MadeTrack:
     def stance(self):
         return stance_of(np.eye(3, dtype=np.float32), np.array([0.0, 1, 0]), np.array([0.0, 0, 1]))
 
+    def release(self):
+        pass
+
     def refresh(self):
         self.statuses += self.later
         return self.changed

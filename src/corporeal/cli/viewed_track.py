@@ -182,6 +182,10 @@ class ViewedTrack:
         folder = (now.sequence or {}).get("folder")
         return None if folder is None else Path(folder) / file
 
+    def release(self) -> None:
+        """Let go of the model: it takes some 400 MB for a body."""
+        self._model = self._tree = None
+
     def _shown(self, index: int, path: Path) -> ShownScan:
         model = self._subject()
         unit: UnitChoice = (self._now.story or {}).get("unit", "auto")

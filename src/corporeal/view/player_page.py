@@ -176,7 +176,9 @@ class PlayerPage:
     def _select(self, name: str) -> None:
         track = self._tracks[name]
         if self._player is not None:
-            self._player.close()
+            self._player.close(wait=2.0)
+            if self._player.track is not track:
+                self._player.track.release()
             self._player = None
         track.refresh()
         if not track.rows:

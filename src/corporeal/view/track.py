@@ -100,6 +100,9 @@ class Track(Protocol):
     def stance(self) -> Stance:
         """How the person stands in the first frame that did not fail; needs a frame."""
 
+    def release(self) -> None:
+        """Another track is looked at: let go of what takes memory; it is read again when it is needed."""
+
     def refresh(self) -> bool:
         """Read what has been written since; whether frames that were there have changed."""
 
