@@ -299,8 +299,8 @@ def test_the_page_plays_steps_jumps_and_reads_later_frames(sequence, folder, tmp
             page.keyboard.press("Home")
             shown(page, "[data-frame='0'][data-playing='0']")
             for key, frame, status in (
-                ("ArrowRight", 1, "doubtful"), ("ArrowLeft", 0, "ok"), ("n", 1, "doubtful"), ("n", 2, "failed"),
-                ("p", 1, "doubtful"),
+                ("ArrowRight", 1, "doubtful"), ("ArrowLeft", 0, "ok"), ("n", 1, "doubtful"),
+                ("n", 2, "failed"), ("p", 1, "doubtful"),
             ):  # fmt: skip
                 page.keyboard.press(key)
                 shown(page, f"[data-frame='{frame}'][data-scan='{frame}'][data-status='{status}']")

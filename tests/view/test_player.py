@@ -194,4 +194,4 @@ def test_a_stance_is_level_on_the_axis_that_is_closest_to_up(rng):
     np.testing.assert_array_equal(stance.up, [0, 0, -1])
     np.testing.assert_allclose(stance.front, [0, -1, 0], atol=1e-12)
     np.testing.assert_allclose(stance.floor, -vertices[:, 2].max())
-    np.testing.assert_allclose(stance.height, np.ptp(vertices[:, 2]))
+    np.testing.assert_allclose(stance.size, np.ptp(vertices, axis=0).max())

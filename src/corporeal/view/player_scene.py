@@ -62,7 +62,7 @@ class PlayerScene:
             vertices: (V, 3) of the model, metres.
             faces: (F, 3) of the model.
         """
-        self._stance, size = stance, stance.height
+        self._stance, size = stance, stance.size
         scene = self._server.scene
         with self._server.atomic():
             self.clear()
@@ -147,7 +147,7 @@ class PlayerScene:
     def _ground(self, stance: Stance) -> None:
         axis = int(np.abs(stance.up).argmax())
         place = stance.centre - (stance.centre @ stance.up - stance.floor) * stance.up
-        size = stance.height
+        size = stance.size
         self._server.scene.add_grid(
             f"{_STAGE}/ground", width=12 * size, height=12 * size, plane=_PLANES[axis],  # type: ignore[arg-type]
             cell_size=size / 4, section_size=size, cell_color=(226, 228, 231), section_color=(205, 208, 213),
@@ -158,7 +158,7 @@ class PlayerScene:
         stance = self._stance
         # The panel covers the right: what is looked at stands left of the middle.
         centre = stance.centre + (0.5 * beside + _LEFT) * self._sideways
-        eye = centre + stance.height * (1.95 * stance.front + 0.25 * stance.up)
+        eye = centre + stance.size * (1.95 * stance.front + 0.25 * stance.up)
         initial = self._server.initial_camera
         cameras: list[Any] = [initial, *(client.camera for client in self._server.get_clients().values())]
         for camera in cameras:

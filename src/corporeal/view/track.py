@@ -58,14 +58,14 @@ class Stance:
         front: (3,) where the person looks, level.
         centre: (3,) the middle of the person.
         floor: height of the lowest vertex along ``up``.
-        height: from there to the highest.
+        size: greatest extent of the person along an axis.
     """
 
     up: Float[np.ndarray, "3"]
     front: Float[np.ndarray, "3"]
     centre: Float[np.ndarray, "3"]
     floor: float
-    height: float
+    size: float
 
 
 @runtime_checkable
@@ -125,8 +125,8 @@ def stance_of(
         level = np.roll(level_up, 1)
     heights = vertices.astype(np.float64) @ level_up
     centre = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0)).astype(np.float64)
-    floor, top = float(heights.min()), float(heights.max())
-    return Stance(level_up, level / np.linalg.norm(level), centre, floor, top - floor)
+    size = float(np.ptp(vertices, axis=0).max())
+    return Stance(level_up, level / np.linalg.norm(level), centre, float(heights.min()), size)
 
 
 def problem_stretches(rows: Sequence[FrameRow]) -> list[tuple[int, int]]:
