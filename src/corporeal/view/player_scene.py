@@ -82,7 +82,8 @@ class PlayerScene:
             )  # fmt: skip
             self._ground(stance)
         self._posed, self._drawn, self._status = vertices, None, ""
-        self._sideways = np.cross(-stance.front, stance.up) * 0.62 * size
+        to_the_right = np.cross(-stance.front, stance.up)
+        self._sideways = to_the_right * max(0.62 * size, 1.1 * float(np.ptp(vertices @ to_the_right)))
 
     def clear(self) -> None:
         """Show nothing."""
