@@ -20,14 +20,9 @@ def make_sequence(folder: Path, count: int, name: str = "open-hand") -> Path:
     hand = open_model("hand")
     shape = np.array([0.8, -0.6, 0.4])
     personal = personal_model(hand, hand.template + hand.shape_directions[:, :, :3] @ shape)
-    block = next(block for block in hand.pose_blocks if len(block.components))
     frames, truth = [], []
     for number in range(count):
-        pose = np.zeros((hand.joint_count, 3))
-        pose[0] = 0.02 * number, 0.01 * number, 0.0
-        turned = block.mean + number * (0.04 * block.components[0] - 0.03 * block.components[1])
-        pose[list(block.joints)] = turned.reshape(-1, 3)
-        place = np.array([0.004 * number, 0.0, 0.002 * number])
+        pose, place = motion(hand, number)
         truth.append(evaluate(personal, np.zeros(0), pose, place).vertices)
         file = f"scans/{number:04d}.ply"
         write_ply(folder / file, (1e3 * truth[-1]).astype(np.float32), hand.faces)
@@ -39,6 +34,16 @@ def make_sequence(folder: Path, count: int, name: str = "open-hand") -> Path:
     np.save(folder / "truth.npy", np.array(truth))
     save_model(personal, folder.parent / "template.npz")
     return folder
+
+
+def motion(hand, number: int) -> tuple[np.ndarray, np.ndarray]:
+    """Pose and translation of a frame."""
+    block = next(block for block in hand.pose_blocks if len(block.components))
+    pose = np.zeros((hand.joint_count, 3))
+    pose[0] = 0.02 * number, 0.01 * number, 0.0
+    turned = block.mean + number * (0.04 * block.components[0] - 0.03 * block.components[1])
+    pose[list(block.joints)] = turned.reshape(-1, 3)
+    return pose, np.array([0.004 * number, 0.0, 0.002 * number])
 
 
 def write_list(folder: Path, name: str, frames: list[dict[str, str]]) -> None:

@@ -123,6 +123,8 @@ def test_the_report_has_an_item_per_frame_and_json_has_those_of_all_sequences(se
         assert set(item["s2m_mm"]) == {"mean", "median", "p95", "under_1mm"}
         assert item["s2m_mm"]["mean"] < 1 and item["signals"]["model_seen"] > 0.9
     named = report["sequence"]
+    # A track that is still running has no report: where its scans lie stands with the template.
+    assert read_story(tracked / "out" / "open-hand")["sequence"] == named
     assert (named["name"], named["folder"], named["fps"]) == ("open-hand", str(sequence.resolve()), made.FPS)
     assert report["template"]["learned"] is False and report["template"]["start"]["given"] is True
     everything = json.loads((tracked / "all.json").read_text())

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from corporeal.scans.files import ScanFileError, read_scan
+from corporeal.scans.files import ScanFileError, read_scan, read_scan_points
 
 BALL = trimesh.creation.icosphere(subdivisions=2, radius=100.0)
 POINTS = np.asarray(BALL.vertices) * [1.5, 1.0, 0.6] + [300.0, -40.0, 7.0]
@@ -331,3 +331,28 @@ def test_real_hands(shared_data, name, points, faces, diagonal):
 def test_draco_is_named(shared_data):
     with pytest.raises(ScanFileError, match="KHR_draco_mesh_compression"):
         read_scan(shared_data / "scans" / "head-leeperry" / "LeePerrySmith.glb")
+
+
+def test_points_to_look_at_are_those_of_the_file_in_metres_without_broken_ones(tmp_path):
+    lines = [*(f"v {x} {y} {z}" for x, y, z in POINTS.tolist()), "v nan 0 0", "v 0 inf 0", "v 1e12 0 0"]
+    lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in FACES.tolist()]
+    path = write(tmp_path, "a.obj", "\n".join(lines))
+    for unit in ("auto", "mm"):
+        np.testing.assert_allclose(read_scan_points(path, unit), POINTS / 1000, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "unit", "words"),
+    [
+        ("a.ply", b"", "mm", "a.ply: the file is empty"),
+        ("a.ply", b"ply\nbroken", "mm", "a.ply: cannot be read as PLY"),
+        ("a.txt", b"0 0 0", "mm", "a.txt: expected a file that ends in"),
+        ("a.obj", b"v nan 0 0\nv 0 nan 0\nv 0 0 nan\nf 1 2 3\n", "mm", "a.obj: .* no point with finite"),
+        ("a.ply", ply("ascii"), "m", "a.ply: "),
+    ],
+)
+def test_points_that_cannot_be_looked_at_name_the_file(tmp_path, name, data, unit, words):
+    with pytest.raises(ScanFileError, match=words):
+        read_scan_points(write(tmp_path, name, data), unit)
+    with pytest.raises(ScanFileError, match="missing"):
+        read_scan_points(tmp_path / "missing.ply")

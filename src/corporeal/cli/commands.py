@@ -215,6 +215,26 @@ class Curate:
 
 
 @dataclass(frozen=True)
+class View:
+    """Play tracked sequences in the browser beside or over their scans, on this machine only.
+
+    Keys: space plays and pauses, right and left step, home and end, n and p go to the next and the previous
+    frames that are not ok. What a running track has written so far is shown; refresh reads the rest.
+
+    Attributes:
+        folder: what ``corporeal track -o`` wrote to, or one sequence in it.
+        scans: folder of the scans, if it has been moved since: that of the sequence, or that above several.
+        port: to listen on; if it is taken, the next free one.
+        browser: open the page in the default browser.
+    """
+
+    folder: tyro.conf.Positional[Path]
+    scans: Path | None = None
+    port: int = 8080
+    browser: bool = True
+
+
+@dataclass(frozen=True)
 class Report:
     """Report on a registered session: counts, distances, the worst, and errors where a truth exists.
 

@@ -20,6 +20,7 @@ def run(config: Curate) -> int:
     """Serve the page until Ctrl-C."""
     try:
         from corporeal.view.contact_sheet import PictureDrawer
+        from corporeal.view.guarded_server import PortError
         from corporeal.view.page import CurationPage
     except ImportError as error:
         raise CommandError(
@@ -38,7 +39,12 @@ def run(config: Curate) -> int:
         console.print(log.note, highlight=False)
     curation = Curation(items, log, pictures.display)
     drawer = PictureDrawer(curation.items, pictures.thumbnail)
-    page = CurationPage(curation, drawer, config.port)
+    try:
+        page = CurationPage(curation, drawer, config.port)
+    except PortError as error:
+        drawer.close()
+        curation.close()
+        raise CommandError(f"curate: {error}", 2) from error
     # On stdout and whole, so that programs can read it.
     print(page.url, flush=True)
     console.print("Ctrl-C ends the page; every decision is written already", highlight=False)

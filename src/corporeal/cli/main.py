@@ -21,6 +21,7 @@ from corporeal.cli.commands import (
     Report,
     Simulate,
     Track,
+    View,
 )
 from corporeal.cli.errors import CommandError
 
@@ -36,6 +37,7 @@ Command = (
     | Annotated[Merge, tyro.conf.subcommand("merge")]
     | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Track, tyro.conf.subcommand("track")]
+    | Annotated[View, tyro.conf.subcommand("view")]
 )
 
 

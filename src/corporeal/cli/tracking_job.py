@@ -15,7 +15,7 @@ import numba
 import torch
 
 from corporeal.cli.tracking_folder import SHEET, remove_leftovers, resumed, waiting_lock
-from corporeal.cli.tracking_outputs import failed_outcome, write_outputs
+from corporeal.cli.tracking_outputs import failed_outcome, sequence_facts, write_outputs
 from corporeal.cli.tracking_start import (
     SequenceError,
     first_frame,
@@ -163,9 +163,11 @@ class SequenceWorker:
         story = read_story(job.folder)
         if story is None:
             story = self._make_template(job)
-        elif story["made_from"] != job.made_from:
-            # Frames were added: all else would have been refused.
-            update_story(job.folder, {"made_from": job.made_from})
+        else:
+            # Frames were added, or the scans have moved: all else would have been refused.
+            now = {"made_from": job.made_from, "sequence": sequence_facts(job.sequence)}
+            if any(story.get(key) != content for key, content in now.items()):
+                update_story(job.folder, now)
         return load_subject_template(job.folder), story["unit"]
 
     def _make_template(self, job: SequenceJob) -> dict[str, Any]:
@@ -185,6 +187,7 @@ class SequenceWorker:
         story: dict[str, Any] = {
             "unit": start.unit,
             "made_from": dict(job.made_from),
+            "sequence": sequence_facts(job.sequence),
             "learned": not setup.personal,
             "start": start.story,
             "scans": scans,

@@ -65,7 +65,7 @@ def write_outputs(
     write_track_sheet(folder / SHEET, title, sheet_frames(sequence, frames, template.model))
     story = read_story(folder) or {}
     report = {
-        "sequence": _described(sequence),
+        "sequence": sequence_facts(sequence),
         "items": [frame_item(frame) for frame in frames],
         "template": {"file": TEMPLATE, **{key: story.get(key) for key in _STORY}},
         "animation": dataclasses.asdict(summary),
@@ -81,7 +81,7 @@ def failed_outcome(sequence: ScanSequence, folder: Path, reason: str) -> dict[st
         "frame": None, "status": "failed", "reason": reason, "seconds": {}, "s2m_mm": None, "signals": {},
     }  # fmt: skip
     report = {
-        "sequence": _described(sequence),
+        "sequence": sequence_facts(sequence),
         "items": [item],
         "template": None,
         "notes": list(sequence.notes),
@@ -122,7 +122,8 @@ def outcome_of(report: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     }
 
 
-def _described(sequence: ScanSequence) -> dict[str, Any]:
+def sequence_facts(sequence: ScanSequence) -> dict[str, Any]:
+    """What is written down of a sequence: ``name``, ``folder``, ``fps``, ``subject``, ``frames``."""
     return {
         "name": sequence.name,
         "folder": str(sequence.folder),

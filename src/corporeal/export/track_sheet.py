@@ -27,9 +27,9 @@ _FIELD_OF_VIEW = np.radians(20)
 _PAPER, _INK, _FAINT, _BAD = (250, 250, 249), (38, 40, 44), (110, 112, 116), (176, 58, 40)
 _FIELD, _SKIN = (0.945, 0.945, 0.94), (0.93, 0.74, 0.63)
 # Scanners of bodies have a millimetre of noise: the scale of hands' registrations would show nothing else.
-_WORST_MM = 10.0
+WORST_MM = 10.0
 _LEGEND = (
-    f"left: scan by its distance to the fit (blue 0, yellow {0.6 * _WORST_MM:.0f}, red {_WORST_MM:.0f} mm "
+    f"left: scan by its distance to the fit (blue 0, yellow {0.6 * WORST_MM:.0f}, red {WORST_MM:.0f} mm "
     "and more, grey far); right: fit; beneath, of a body: its palms"
 )
 
@@ -133,7 +133,7 @@ def _pair(picture: SheetPicture, size: tuple[int, int]) -> Image.Image:
 
 
 def _scan(picture: SheetPicture, camera: Pinhole) -> Image.Image:
-    colours = error_colours(picture.errors_mm * (LARGEST_ERROR_MM / _WORST_MM))
+    colours = error_colours(picture.errors_mm * (LARGEST_ERROR_MM / WORST_MM))
     points = picture.points
     if picture.scan_faces is not None and len(picture.scan_faces):
         return _surface(points, picture.scan_faces, colours, camera)

@@ -48,9 +48,9 @@ def clean(raw: RawScan) -> RawScan:
     """
     steps: tuple[Callable[[RawScan], RawScan], ...]
     if len(raw.faces):
-        steps = (_drop_wild, _weld, _drop_bad_faces, _drop_specks, _turn_outward, _state_edges, _face_normals)
+        steps = (drop_wild, _weld, _drop_bad_faces, _drop_specks, _turn_outward, _state_edges, _face_normals)
     else:
-        steps = (_drop_wild, _weld, _checked_cloud, _drop_sparse_specks, _cloud_normals)
+        steps = (drop_wild, _weld, _checked_cloud, _drop_sparse_specks, _cloud_normals)
     for step in steps:
         raw = step(raw)
     return raw
@@ -76,7 +76,7 @@ def _picked(raw: RawScan, points: Int[np.ndarray, " W"], faces: Int[np.ndarray, 
     )
 
 
-def _drop_wild(raw: RawScan) -> RawScan:
+def drop_wild(raw: RawScan) -> RawScan:
     """Points that are not finite, or so far away that they can only be broken numbers."""
     finite = np.isfinite(raw.points).all(axis=1)
     if not finite.any():

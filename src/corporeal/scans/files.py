@@ -7,8 +7,9 @@ from pathlib import Path
 from urllib.parse import unquote
 
 import numpy as np
+from jaxtyping import Float
 
-from corporeal.scans.cleaning import clean
+from corporeal.scans.cleaning import clean, drop_wild
 from corporeal.scans.formats.gltf import buffers_of_json, parse_glb, parse_gltf
 from corporeal.scans.formats.obj import parse_obj
 from corporeal.scans.formats.off import parse_off
@@ -72,6 +73,30 @@ def read_scan(path: str | Path, unit: UnitChoice = "auto", expected_extent: Exte
         source=path.name,
         repairs=(*cleaned.notes, *sentences),
     )
+
+
+def read_scan_points(
+    path: str | Path, unit: UnitChoice = "auto", expected_extent: Extent = HAND_EXTENT
+) -> Float[np.ndarray, "N 3"]:
+    """The points of a scan in metres, to be looked at: about twenty times as fast as ``read_scan``.
+
+    Nothing is mended but that points which are not finite, or wildly far away, are left out.
+
+    Args:
+        path: as for ``read_scan``.
+        unit: of the file's numbers.
+        expected_extent: least and greatest diagonal of the subject's bounding box, metres.
+
+    Raises:
+        ScanFileError: the file is missing, of another format, damaged or empty, or its unit cannot be told.
+    """
+    path = Path(path)
+    raw = _parsed(path)
+    try:
+        points = drop_wild(raw).points
+        return points * resolve_unit(points, unit, expected_extent)[0].metres_per_unit
+    except ValueError as error:
+        raise ScanFileError(f"{path.name}: {error}") from error
 
 
 def read_sequence(folder: str | Path) -> ScanSequence:

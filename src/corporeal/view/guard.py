@@ -72,7 +72,7 @@ class TokenGuard:
             cookie = f"{_cookie_name(port)}={self.token}; HttpOnly; SameSite=Strict; Path=/"
             response.headers["Set-Cookie"] = cookie
             return response
-        sentence = b"refused: open the address, with its token, that corporeal curate printed"
+        sentence = b"refused: open the address, with its token, that the command printed"
         return _response(Answer(sentence, *_TEXT_403))
 
     def _is_of_this_page(self, headers: Headers) -> bool:

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import html
 import http
 import queue
 import threading
-from collections.abc import Callable, Coroutine, Iterator, Mapping
+from collections.abc import Callable, Coroutine, Mapping
 from typing import Any
-
-import rich
-import viser
 
 from corporeal.view.contact_sheet import PictureDrawer, picture_answer, sheet_page
 from corporeal.view.curation import ANY, DECIDED, Curation, ScanDisplay
 from corporeal.view.files import DecisionFileError
-from corporeal.view.guard import Answer, TokenGuard, guarding
+from corporeal.view.guard import Answer, Route
+from corporeal.view.guarded_server import GuardedServer
 
 _EYE, _CENTRE = (0.0, 0.0, 0.42), (0.0, 0.0, 0.0)
-_HOST = "127.0.0.1"
 _SKIN, _POINT_SIZE = (236, 189, 161), 0.0007
 _KEYS: tuple[tuple[str, str, Any, Any], ...] = (
     ("accept", "accept (a)", "A", "green"),
@@ -47,20 +43,20 @@ class CurationPage:
             curation: the session.
             drawer: draws its thumbnails.
             port: to listen on; 0 for any. If it is taken, the next free one.
+
+        Raises:
+            PortError: no port can be listened on.
         """
         self._curation, self._drawer = curation, drawer
         self._actions: queue.Queue[Action | None] = queue.Queue()
         self._shown = ""
-        guard = TokenGuard(
-            {
-                "/sheet": self._sheet,
-                "/thumbnail": functools.partial(picture_answer, drawer),
-                "/go": self._go,
-            }
-        )
-        with guarding(guard), _without_banner():
-            self._server = viser.ViserServer(host=_HOST, port=port, label="corporeal curate", verbose=False)
-        self.url = f"http://{_HOST}:{self._server.get_port()}/?token={guard.token}"
+        routes: dict[str, Route] = {
+            "/sheet": self._sheet,
+            "/thumbnail": functools.partial(picture_answer, drawer),
+            "/go": self._go,
+        }
+        self._guarded = GuardedServer("corporeal curate", routes, port)
+        self._server, self.url = self._guarded.viser, self._guarded.url
         self._build_scene()
         self._build_panel()
         self._thread = threading.Thread(target=self._work, name="curation", daemon=True)
@@ -76,7 +72,7 @@ class CurationPage:
         """Stop serving; every decision is on the disk already."""
         self._actions.put(None)
         self._thread.join(timeout=30)
-        self._server.stop()
+        self._guarded.stop()
         self._drawer.close()
         self._curation.close()
 
@@ -84,7 +80,6 @@ class CurationPage:
         self._server.scene.set_up_direction("+y")
         self._server.initial_camera.position = _EYE
         self._server.initial_camera.look_at = _CENTRE
-        self._server.gui.configure_theme(control_width="large", dark_mode=False, show_logo=False)
 
     def _build_panel(self) -> None:
         gui = self._server.gui
@@ -223,14 +218,3 @@ class CurationPage:
 
     _scan: Any = None
     _registration: Any = None
-
-
-@contextlib.contextmanager
-def _without_banner() -> Iterator[None]:
-    """viser prints an address without the token, which is refused; ours is printed by the command."""
-    console = rich.get_console()
-    quiet, console.quiet = console.quiet, True
-    try:
-        yield
-    finally:
-        console.quiet = quiet
