@@ -20,17 +20,18 @@ from corporeal.model.surface_model import SurfaceModel
 from corporeal.scans.simulation.bone_rods import hinge_motions, to_segment
 from corporeal.scans.simulation.embedded_skin import EmbeddedSkin
 from corporeal.scans.simulation.soft_body import FleshOptions, PosedFlesh, SoftBody
+from corporeal.scans.simulation.tetrahedra import edge_matrices
 
 TETRAHEDRA = Path(__file__).with_name("tetrahedra.npz")
 # A hand's contact, five times as large. Arm and trunk, thigh and belly grow together nearer than part_gap.
 FLESH = FleshOptions(
-    thickness=1e-3, contact=4.0, rest_gap=60e-3, part_gap=45e-3, reach=30e-3, increments=4, iterations=150,
-    tolerance=0.1e-3,
+    thickness=1e-3, contact=4.0, rest_gap=60e-3, part_gap=45e-3, reach=30e-3, increments=4, iterations=120,
+    tolerance=0.15e-3,
 )  # fmt: skip
 # Bones as rods from joint to joint, with their radius as a share of the way from the axis to the skin.
 _RODS = {
-    3: (6, 0.3), 6: (9, 0.3), 12: (15, 0.35), 13: (16, 0.3), 14: (17, 0.3), 16: (18, 0.4), 17: (19, 0.4),
-    18: (20, 0.5), 19: (21, 0.5), 1: (4, 0.35), 2: (5, 0.35), 4: (7, 0.5), 5: (8, 0.5),
+    3: (6, 0.3), 6: (9, 0.3), 12: (15, 0.35), 13: (16, 0.3), 14: (17, 0.3), 16: (18, 0.28), 17: (19, 0.28),
+    18: (20, 0.35), 19: (21, 0.35), 1: (4, 0.22), 2: (5, 0.22), 4: (7, 0.35), 5: (8, 0.35),
 }  # fmt: skip
 # Held as far as this joint moves the flesh by more than a share, deeper under the skin than so many metres.
 _CORES = {
@@ -41,8 +42,9 @@ _CORES = {
 _WHOLE = {20: (20, *range(25, 40)), 21: (21, *range(40, 55)), 15: (15, 22, 23, 24)}
 _WHOLE_SHARE = 0.97
 _HINGES = (1, 2, 3, 4, 5, 6, 7, 8, 9, 12, 15, 16, 17, 18, 19, 20, 21)
-# Of the way from the joint to the skin; a rod ends so many of its radii before its joints.
-_HINGE_SHARE, _CLEARANCE = 0.45, 1.25
+# Of the way from the joint to the skin. A rod ends so many of its radii before its joints: two that meet at 50
+# degrees just miss each other.
+_HINGE_SHARE, _CLEARANCE = 0.45, 2.4
 # Pieces of a forearm, each with its share of the elbow's twist.
 _FOREARMS, _PIECES = (18, 19), 4
 # Joints whose skin meets as one part: trunk with head, arms, legs.
@@ -99,10 +101,20 @@ class SoftPerson:
         for _ in range(_TRIES):
             steps = share * np.arange(1, self.body.options.increments + 1) / self.body.options.increments
             flesh = self.body.posed(np.array([self._motions(step * pose) for step in steps]))
-            if flesh.smallest_det > 0 and flesh.deepest < _DEEPEST:
+            if self._smallest(flesh.vertices) > 0 and flesh.deepest < _DEEPEST:
                 break
             share *= _RELAXED
         return SettledPerson(self._skin.posed(self.surface, self.rest, flesh.vertices), share * pose, flesh)
+
+    def _smallest(self, vertices: np.ndarray) -> float:
+        """Smallest determinant of a deformation gradient among elements that no bone holds.
+
+        One squashed between two bones in a joint is inverted now and then, which skin does not feel.
+        """
+        flesh = self._skin.tets[(self.fixed[self._skin.tets] < 0).all(1)]
+        edges = (edge_matrices(points, flesh) for points in (vertices, self.rest))
+        posed, rest = (np.linalg.det(matrices) for matrices in edges)
+        return float((posed / rest).min())
 
     def _motions(self, pose: np.ndarray) -> np.ndarray:
         """Of joints, then of hinges, then of the pieces of the forearms."""
