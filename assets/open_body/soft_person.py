@@ -30,8 +30,8 @@ FLESH = FleshOptions(
 )  # fmt: skip
 # Bones as rods from joint to joint, with their radius as a share of the way from the axis to the skin.
 _RODS = {
-    3: (6, 0.3), 6: (9, 0.3), 12: (15, 0.35), 13: (16, 0.3), 14: (17, 0.3), 16: (18, 0.28), 17: (19, 0.28),
-    18: (20, 0.35), 19: (21, 0.35), 1: (4, 0.22), 2: (5, 0.22), 4: (7, 0.35), 5: (8, 0.35),
+    3: (6, 0.3), 6: (9, 0.3), 12: (15, 0.35), 13: (16, 0.3), 14: (17, 0.3), 16: (18, 0.42), 17: (19, 0.42),
+    18: (20, 0.5), 19: (21, 0.5), 1: (4, 0.38), 2: (5, 0.38), 4: (7, 0.5), 5: (8, 0.5),
 }  # fmt: skip
 # Held as far as this joint moves the flesh by more than a share, deeper under the skin than so many metres.
 _CORES = {
@@ -42,14 +42,16 @@ _CORES = {
 _WHOLE = {20: (20, *range(25, 40)), 21: (21, *range(40, 55)), 15: (15, 22, 23, 24)}
 _WHOLE_SHARE = 0.97
 _HINGES = (1, 2, 3, 4, 5, 6, 7, 8, 9, 12, 15, 16, 17, 18, 19, 20, 21)
-# Of the way from the joint to the skin. A rod ends so many of its radii before its joints: two that meet at 50
-# degrees just miss each other.
-_HINGE_SHARE, _CLEARANCE = 0.45, 2.4
+# Of the way from the joint to the skin. A rod is a cone at its ends, with this slope: two that meet at 45 degrees
+# just miss each other.
+_HINGE_SHARE, _SLOPE = 0.45, 0.4
 # Pieces of a forearm, each with its share of the elbow's twist.
 _FOREARMS, _PIECES = (18, 19), 4
 # Joints whose skin meets as one part: trunk with head, arms, legs.
 _PARTS = ((0, 3, 6, 9, 12, 13, 14, 15), (16, 18, 20), (17, 19, 21), (1, 4, 7, 10), (2, 5, 8, 11))
-_TRIES, _RELAXED, _DEEPEST = 4, 0.85, 6e-3
+# A pose is relaxed by a share and tried again where more elements than this are inverted in the depth of a crease,
+# or skin stands deeper in skin, metres.
+_TRIES, _RELAXED, _INVERTED, _DEEPEST = 4, 0.88, 6, 10e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +89,7 @@ class SoftPerson:
         self.joints = np.asarray(model.joint_regressor @ surface)
         self._skin = _embedded(model)
         self.rest = self._skin.rest_of(surface)
-        weights = self._skin.weights(_rigid_weights(model.skinning_weights))
+        weights = self._skin.weights(rigid_weights(model.skinning_weights))
         self.fixed = self._fixed(weights)
         extra = np.zeros((len(weights), len(_HINGES) + len(_FOREARMS) * _PIECES))
         part = np.array([weights[:, list(joints)].sum(1) for joints in _PARTS]).argmax(0)
@@ -101,20 +103,18 @@ class SoftPerson:
         for _ in range(_TRIES):
             steps = share * np.arange(1, self.body.options.increments + 1) / self.body.options.increments
             flesh = self.body.posed(np.array([self._motions(step * pose) for step in steps]))
-            if self._smallest(flesh.vertices) > 0 and flesh.deepest < _DEEPEST:
+            if self._inverted(flesh.vertices) <= _INVERTED and flesh.deepest < _DEEPEST:
                 break
             share *= _RELAXED
         return SettledPerson(self._skin.posed(self.surface, self.rest, flesh.vertices), share * pose, flesh)
 
-    def _smallest(self, vertices: np.ndarray) -> float:
-        """Smallest determinant of a deformation gradient among elements that no bone holds.
+    def _inverted(self, vertices: np.ndarray) -> int:
+        """How many elements are inverted that no bone holds.
 
         One squashed between two bones in a joint is inverted now and then, which skin does not feel.
         """
         flesh = self._skin.tets[(self.fixed[self._skin.tets] < 0).all(1)]
-        edges = (edge_matrices(points, flesh) for points in (vertices, self.rest))
-        posed, rest = (np.linalg.det(matrices) for matrices in edges)
-        return float((posed / rest).min())
+        return int((np.linalg.det(edge_matrices(vertices, flesh)) <= 0).sum())
 
     def _motions(self, pose: np.ndarray) -> np.ndarray:
         """Of joints, then of hinges, then of the pieces of the forearms."""
@@ -146,8 +146,8 @@ class SoftPerson:
             distance, along = to_segment(self.rest, head, tail)
             middle = head + np.linspace(0.3, 0.7, 5)[:, None] * (tail - head)
             radius = share * np.median(to_skin.query(middle)[0])
-            margin = min(_CLEARANCE * radius / np.linalg.norm(tail - head), 0.35)
-            inside = (distance < radius) & (along > margin) & (along < 1 - margin) & (fixed < 0)
+            to_end = np.minimum(along, 1 - along) * np.linalg.norm(tail - head)
+            inside = (distance < np.minimum(radius, _SLOPE * to_end)) & (fixed < 0)
             if bone in _FOREARMS:
                 piece = np.clip((along * _PIECES).astype(int), 0, _PIECES - 1)
                 first = 55 + len(_HINGES) + _FOREARMS.index(bone) * _PIECES
@@ -177,7 +177,7 @@ def _twist(turn: Rotation, axis: np.ndarray) -> Rotation:
     return Rotation.from_quat(np.append((quaternion[:3] @ axis) * axis, quaternion[3]))
 
 
-def _rigid_weights(weights: np.ndarray) -> np.ndarray:
+def rigid_weights(weights: np.ndarray) -> np.ndarray:
     """Fingers with their wrist, face with the head: they do not move here."""
     gathered = weights.astype(np.float64).copy()
     for bone, joints in _WHOLE.items():
