@@ -2,8 +2,8 @@
 
 python assets/tetrahedralise_body.py [--out FILE]
 
-fTetWild is not asked for the same numbers on every machine: the result is kept in the repository, and has to be
-made again only when the template changes.
+fTetWild does not promise the same numbers on every machine: the result is kept in the repository, and has
+to be made again only when the template changes.
 """
 
 from __future__ import annotations

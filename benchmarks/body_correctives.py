@@ -2,10 +2,10 @@
 
     PYTHONPATH=assets python benchmarks/body_correctives.py [--model FILE] [--cache FOLDER] [--pictures FILE]
 
-For every bend of one joint: the mean distance of a vertex near the joint from the settled flesh, the area of the
-cross-section in the plane that halves the bend against that at rest (a joint that collapses has less than 1), and
-the volume of the whole body against rest: of the flesh itself, of linear skinning without correctives, with those
-that the body had before (dual quaternions, ``open_body/correctives.py``), and with the model's own.
+For every bend of one joint: the mean distance of a vertex near the joint from the settled flesh, the area of
+the cross-section in the plane that halves the bend against that at rest (a joint that collapses has less than
+1), and the volume of the whole body against rest. Of the flesh itself, of linear skinning without correctives,
+with those that the body had before (dual quaternions, ``open_body/correctives.py``), with the model's own.
 """
 
 from __future__ import annotations
@@ -22,7 +22,16 @@ from open_body.soft_correctives import posed_surfaces
 from open_body.soft_person import bone_motions
 
 from corporeal.cli.named_models import named_model
-from corporeal.export.sheets import Layout, Tile, View, blank_sheet, put_tile, sheet_camera, sheet_pixels, write_sheet
+from corporeal.export.sheets import (
+    Layout,
+    Tile,
+    View,
+    blank_sheet,
+    put_tile,
+    sheet_camera,
+    sheet_pixels,
+    write_sheet,
+)
 from corporeal.geometry.topology import signed_volume
 from corporeal.model.surface_model import SurfaceModel
 
@@ -30,7 +39,7 @@ _NEAR = 0.2
 _CHILD = {"elbow": "wrist", "knee": "ankle", "hip": "knee", "shoulder": "elbow"}
 _INWARD = np.array([1.0, 0.0, 0.0])
 _BELOW_SHOULDER = 0.08
-# Bends that are drawn, with the direction in which they are looked at and the joints whose skin fills the tile.
+# Bends that are drawn, the direction in which they are looked at, the joints whose skin fills the tile.
 _DRAWN = {
     ("right_elbow", "y", 130): ((0.2, -0.9, -0.4), (17, 19)),
     ("right_knee", "x", 125): ((0.95, 0.0, -0.3), (2, 5)),
@@ -43,9 +52,9 @@ _DRAWN = {
 
 def variants(model: SurfaceModel) -> dict[str, SurfaceModel]:
     """The same body without correctives, with the earlier ones, and with its own."""
-    hand = np.zeros((0, 3, 135))
+    hand, weights = np.zeros((0, 3, 135)), np.asarray(model.skinning_weights)
     earlier = body_correctives(
-        model.template, np.asarray(model.joint_regressor @ model.template), np.asarray(model.skinning_weights),
+        model.template, np.asarray(model.joint_regressor @ model.template), weights,
         model.faces, np.asarray(model.mirror_vertices), hand, np.zeros(0, dtype=int), 0,
     )  # fmt: skip
     return {
@@ -62,6 +71,8 @@ def section_area(
     """Area that a plane cuts out of a closed surface on one side of a line in the plane, square metres.
 
     Args:
+        vertices: metres.
+        faces: closed.
         point: of the plane.
         normal: of the plane.
         origin: of the line, in the plane.
@@ -84,7 +95,9 @@ def section_area(
     kept = (inside[0] > 0) | (inside[1] > 0)
     start, stop = start[kept], stop[kept]
     one, two = inside[0][kept], inside[1][kept]
-    crossed = start + np.where(one == two, 0, one / np.where(one == two, 1, one - two))[:, None] * (stop - start)
+    crossed = start + np.where(one == two, 0, one / np.where(one == two, 1, one - two))[:, None] * (
+        stop - start
+    )
     start, stop = np.where((one < 0)[:, None], crossed, start), np.where((two < 0)[:, None], crossed, stop)
     return abs(float((np.cross(start, stop) @ normal).sum() / 2))
 
@@ -131,8 +144,12 @@ def print_bends(models: dict[str, SurfaceModel], bends: SettledBends) -> None:
         volumes = [signed_volume(posed[n][row], model.faces) / volume for n in names]
         reached = np.rad2deg(np.linalg.norm(bends.poses[row, JOINT_NAMES.index(joint)]))
         words = f"{joint} {axis} {np.sign(degrees) * reached:.0f}"
-        print(f"{words:24s} " + "".join(f"{1e3 * d:9.2f}" for d in apart)
-              + "".join(f"{a:9.3f}" for a in areas) + "".join(f"{v:9.4f}" for v in volumes))
+        print(
+            f"{words:24s} "
+            + "".join(f"{1e3 * d:9.2f}" for d in apart)
+            + "".join(f"{a:9.3f}" for a in areas)
+            + "".join(f"{v:9.4f}" for v in volumes)
+        )
 
 
 def print_drawn(models: dict[str, SurfaceModel], bends: SettledBends) -> None:
@@ -140,16 +157,25 @@ def print_drawn(models: dict[str, SurfaceModel], bends: SettledBends) -> None:
     model = models["learned"]
     skin = np.flatnonzero(model.skinning_weights[:, [*range(15), *range(16, 20)]].sum(1) > 0.05)
     drawn = np.arange(len(bends.poses)) >= len(HELD_OUT_BENDS)
-    for words, rows in (("template", drawn & (bends.people == 0)), ("a stranger", drawn & (bends.people == 1))):
+    for words, rows in (
+        ("template", drawn & (bends.people == 0)),
+        ("a stranger", drawn & (bends.people == 1)),
+    ):
         some = bends.subset(rows)
-        errors = [np.square(posed_surfaces(own, some) - some.surfaces)[:, skin].sum(2).mean() for own in models.values()]
+        errors = [
+            np.square(posed_surfaces(own, some) - some.surfaces)[:, skin].sum(2).mean()
+            for own in models.values()
+        ]
         shown = ", ".join(f"{name} {1e3 * np.sqrt(e):.2f} mm" for name, e in zip(models, errors, strict=True))
         print(f"{int(rows.sum())} drawn bends, {words}: {shown}; R^2 {1 - errors[-1] / errors[0]:.3f}")
 
 
 def draw(models: dict[str, SurfaceModel], bends: SettledBends, path: Path) -> None:
     """The largest bends: the flesh, then the models."""
-    posed = {"settled flesh": bends.surfaces, **{name: posed_surfaces(m, bends) for name, m in models.items()}}
+    posed = {
+        "settled flesh": bends.surfaces,
+        **{name: posed_surfaces(m, bends) for name, m in models.items()},
+    }
     titles = {"none": "no correctives", "earlier": "dual quaternions", "learned": "learned"}
     model = models["learned"]
     layout = Layout((300, 280), [titles.get(name, name) for name in posed], ("",) * len(_DRAWN))
@@ -169,7 +195,9 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--model", default="body")
-    parser.add_argument("--cache", type=Path, default=Path("build/bends"), help="where settled bends are kept")
+    parser.add_argument(
+        "--cache", type=Path, default=Path("build/bends"), help="where settled bends are kept"
+    )
     parser.add_argument("--pictures", type=Path)
     options = parser.parse_args()
     model = named_model(Path(options.model))

@@ -67,7 +67,7 @@ def training_bends(model: SurfaceModel, cache: Path | None = None) -> SettledBen
 
 
 def held_out_bends(model: SurfaceModel, cache: Path | None = None) -> SettledBends:
-    """Bends of one joint (``HELD_OUT_BENDS``) and drawn ones of the template, then drawn ones of a stranger."""
+    """Bends of one joint and drawn ones of the template, then drawn ones of a stranger."""
     drawn = random_bends(model, 18, seed=2)
     poses = np.concatenate([single_bends(), drawn])
     people = np.repeat([0, 1], [len(HELD_OUT_BENDS) + 12, 6])
@@ -94,7 +94,10 @@ def settled_bends(
             settled = person.posed(poses[row])
             surfaces[row], reached[row] = settled.surface, settled.pose
             ratios[row] = settled.flesh.volume_ratio
-            print(f"person {h}, bend {row}: {settled.flesh.iterations} steps, volume {ratios[row]:.4f}", flush=True)
+            print(
+                f"person {h}, bend {row}: {settled.flesh.iterations} steps, volume {ratios[row]:.4f}",
+                flush=True,
+            )
     bends = SettledBends(surfaces, reached, people, templates, ratios)
     if cache is not None:
         buffer = io.BytesIO()

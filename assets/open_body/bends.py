@@ -1,9 +1,12 @@
 """Which bends the soft person is put into: every joint over its range, alone and with its neighbours.
 
-Correctives are local, so that one pose bends both arms, both legs and the spine at once, each as drawn for itself.
+Correctives are local, so that one pose bends both arms, both legs and the spine at once, each as drawn for
+itself.
 """
 
 from __future__ import annotations
+
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -13,8 +16,8 @@ from corporeal.model.surface_model import SurfaceModel
 from .rig import JOINT_NAMES, PARENTS
 from .soft_person import bone_motions
 
-# Degrees about x, y, z of the middle and the left side, in the T-pose; inside the limits of ``limits.py``, which
-# are outer bounds. The first axis is the one that a joint is bent about alone.
+# Degrees about x, y, z of the middle and the left side, in the T-pose; inside the limits of ``limits.py``,
+# which are outer bounds. The first of the axes is the one that a joint is bent about alone.
 _RANGES = {
     "hip": ("xyz", (-115, 25), (-40, 40), (-25, 50)), "knee": ("xyz", (0, 132), (-8, 8), (-4, 4)),
     "ankle": ("xyz", (-30, 45), (-15, 15), (-20, 15)), "foot": ("xyz", (-40, 25), (-4, 4), (-4, 4)),
@@ -45,7 +48,9 @@ def random_bends(model: SurfaceModel, count: int, seed: int) -> np.ndarray:
     body = np.flatnonzero(model.skinning_weights[:, [0, 1, 2, 3, 4, 5, 6, 9, 12, 15]].sum(1) > 0.9)[::5]
     kept: list[np.ndarray] = []
     while len(kept) < count:
-        pose = np.stack([np.zeros(3), *(_drawn(name, generator) for name in JOINT_NAMES[1:22]), *np.zeros((33, 3))])
+        pose = np.stack(
+            [np.zeros(3), *(_drawn(name, generator) for name in JOINT_NAMES[1:22]), *np.zeros((33, 3))]
+        )
         if _clear(model, joints, body, pose):
             kept.append(pose)
     return np.array(kept)
@@ -79,6 +84,6 @@ def _clear(model: SurfaceModel, joints: np.ndarray, body: np.ndarray, pose: np.n
     placed = np.einsum("kab,kb->ka", motions[:, :3, :3], joints) + motions[:, :3, 3]
     near = cKDTree(skin)
     chains = [placed[list(chain)] for chain in _FORE]
-    rods = [a + t * (b - a) for chain in chains for a, b in zip(chain, chain[1:], strict=False) for t in (0.25, 0.6, 1)]
+    rods = [a + t * (b - a) for chain in chains for a, b in pairwise(chain) for t in (0.25, 0.6, 1)]
     tips = [2 * chain[2] - chain[1] for chain in chains]
     return float(near.query(np.array(rods + tips))[0].min()) > _APART

@@ -1,4 +1,4 @@
-"""Pose correctives of the body's joints learned from settled bends, by the step that ``corporeal learn`` takes.
+"""Pose correctives of the body's joints from settled bends, by the step that ``corporeal learn`` takes.
 
 Of a learning's variables only the correctives are unknown here: templates, joints, poses and skinning weights
 are the simulation's own. Hands, jaw and eyes keep the correctives they have.
@@ -47,8 +47,12 @@ def learned_correctives(
     chosen = np.flatnonzero(moved)
     state, data = _state(model, bends, chosen)
     options = LearningOptions(corrective_strength=strength)
-    priors = Priors(state.templates, state.weights, np.zeros((len(bends.templates), JOINTS, 3, 3)),
-                    _costs(model)[:, chosen])
+    priors = Priors(
+        state.templates,
+        state.weights,
+        np.zeros((len(bends.templates), JOINTS, 3, 3)),
+        _costs(model)[:, chosen],
+    )
     for _ in range(_SWEEPS):
         state = fit_correctives(state, data, priors, options)
     found = state.pose_directions.reshape(JOINTS - 1, 9, len(chosen), 3).transpose(2, 3, 0, 1)

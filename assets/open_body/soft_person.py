@@ -1,8 +1,8 @@
 """The open body as a soft body: rigid bones inside flesh that settles by statics.
 
-Limbs hold a rod from joint to joint, the trunk a core of what lies deep under the skin (pelvis, rib cage, shoulder
-blades); hands and head are rigid altogether, since their correctives are not learned here. Where a bone ends
-in a joint a ball turns by half. The forearm's rod twists along its length, as radius and ulna do.
+Limbs hold a rod from joint to joint, the trunk a core of what lies deep under the skin (pelvis, rib cage,
+shoulder blades); hands and head are rigid altogether, since their correctives are not learned here. Where a
+bone ends in a joint a ball turns by half. The forearm's rod twists along its length, as radius and ulna do.
 """
 
 from __future__ import annotations
@@ -42,15 +42,15 @@ _CORES = {
 _WHOLE = {20: (20, *range(25, 40)), 21: (21, *range(40, 55)), 15: (15, 22, 23, 24)}
 _WHOLE_SHARE = 0.97
 _HINGES = (1, 2, 3, 4, 5, 6, 7, 8, 9, 12, 15, 16, 17, 18, 19, 20, 21)
-# Of the way from the joint to the skin. A rod is a cone at its ends, with this slope: two that meet at 45 degrees
-# just miss each other.
+# Of the way from the joint to the skin. A rod is a cone at its ends, with this slope: two that meet at 45
+# degrees just miss each other.
 _HINGE_SHARE, _SLOPE = 0.45, 0.4
 # Pieces of a forearm, each with its share of the elbow's twist.
 _FOREARMS, _PIECES = (18, 19), 4
 # Joints whose skin meets as one part: trunk with head, arms, legs.
 _PARTS = ((0, 3, 6, 9, 12, 13, 14, 15), (16, 18, 20), (17, 19, 21), (1, 4, 7, 10), (2, 5, 8, 11))
-# A pose is relaxed by a share and tried again where more elements than this are inverted in the depth of a crease,
-# or skin stands deeper in skin, metres.
+# A pose is relaxed by a share and tried again where more elements than this are inverted in the depth of a
+# crease, or skin stands deeper in skin, metres.
 _TRIES, _RELAXED, _INVERTED, _DEEPEST = 4, 0.88, 6, 10e-3
 
 
@@ -60,7 +60,7 @@ class SettledPerson:
 
     Attributes:
         surface: (V, 3) metres, the root's translation zero.
-        pose: (55, 3) axis-angle that was reached: a smaller share of the one asked for where flesh had no room.
+        pose: (55, 3) axis-angle that was reached: a share of the one asked for where flesh had no room.
         flesh: what the solver says of it.
     """
 
@@ -98,7 +98,7 @@ class SoftPerson:
         )
 
     def posed(self, pose: np.ndarray) -> SettledPerson:
-        """Settle the flesh at a pose (55, 3), axis-angle in radians; of hands, jaw and eyes nothing is read."""
+        """Settle the flesh at a pose (55, 3), axis-angle in radians, zero for fingers, jaw and eyes."""
         share = 1.0
         for _ in range(_TRIES):
             steps = share * np.arange(1, self.body.options.increments + 1) / self.body.options.increments

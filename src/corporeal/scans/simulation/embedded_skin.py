@@ -1,4 +1,4 @@
-"""A surface inside a tetrahedral mesh: how it follows the tetrahedra, and how they follow it to other people."""
+"""A surface in tetrahedra: how it follows them, and how they follow it to other people."""
 
 from __future__ import annotations
 
