@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from hand_simulator.tetrahedra import meshed
-from open_body.soft_person import TETRAHEDRA
+from open_body.soft_person import TETRAHEDRA, template_digest
 from scipy.spatial import cKDTree
 
 from corporeal.atomic import write_bytes
@@ -76,7 +76,9 @@ def main() -> None:
     model = open_model("body")
     vertices, tets = meshed(*coarse_surface(model), *edge_lengths(model), _ENVELOPE)
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, tet_vertices=vertices, tets=tets)
+    np.savez_compressed(
+        buffer, tet_vertices=vertices, tets=tets, template_sha256=np.array(template_digest(model))
+    )
     write_bytes(options.out, buffer.getvalue())
     print(f"{options.out}: {len(buffer.getvalue()) / 1e6:.2f} MB")
 

@@ -4,8 +4,8 @@
 
 For every bend of one joint: the mean distance of a vertex near the joint from the settled flesh, the area of
 the cross-section in the plane that halves the bend against that at rest (a joint that collapses has less than
-1), and the volume of the whole body against rest. Of the flesh itself, of linear skinning without correctives,
-with those that the body had before (dual quaternions, ``open_body/correctives.py``), with the model's own.
+1), and the volume of the whole body against rest. Compared are the flesh itself, linear skinning without
+correctives, with those the body had before (dual quaternions), and with the model's own.
 """
 
 from __future__ import annotations

@@ -7,6 +7,7 @@ bone ends in a joint a ball turns by half. The forearm's rod twists along its le
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -186,8 +187,15 @@ def rigid_weights(weights: np.ndarray) -> np.ndarray:
     return gathered
 
 
+def template_digest(model: SurfaceModel) -> str:
+    """What says that tetrahedra are of this template, to a tenth of a micrometre."""
+    return hashlib.sha256(np.round(1e7 * model.template).astype(np.int64).tobytes()).hexdigest()
+
+
 @lru_cache(maxsize=1)
 def _embedded(model: SurfaceModel) -> EmbeddedSkin:
     with np.load(TETRAHEDRA) as arrays:
+        if str(arrays["template_sha256"]) != template_digest(model):
+            raise SystemExit(f"{TETRAHEDRA.name}: of another template; run assets/tetrahedralise_body.py")
         vertices, tets = arrays["tet_vertices"].astype(np.float64), arrays["tets"].astype(np.int64)
     return EmbeddedSkin(model.template, vertices, tets)
