@@ -31,8 +31,9 @@ STRENGTH = 0.05
 _REACH = 0.22
 # A vertex that linear skinning leaves this near the flesh in all bends has no corrective, metres.
 _STILL = 0.2e-3
-_SMALLEST = 1e-4
-_SWEEPS = 4
+# Smaller numbers are left out: together they were 0.01 mm of 2.07 mm on held-out bends.
+_SMALLEST = 3e-4
+_SWEEPS = 3
 _FORBIDDEN = 1e3
 
 
@@ -57,8 +58,9 @@ def learned_correctives(
         state = fit_correctives(state, data, priors, options)
     found = state.pose_directions.reshape(JOINTS - 1, 9, len(chosen), 3).transpose(2, 3, 0, 1)
     directions = np.zeros((model.vertex_count, 3, len(model.parents) - 1, 9))
-    directions[chosen, :, : JOINTS - 1] = np.where(np.abs(found) < smallest, 0, found)
+    directions[chosen, :, : JOINTS - 1] = found
     directions = _symmetric(directions, model)
+    directions[np.abs(directions) < smallest] = 0
     kept = np.asarray(model.pose_directions).reshape(directions.shape)
     directions[:, :, JOINTS - 1 :] = kept[:, :, JOINTS - 1 :]
     return directions.reshape(model.vertex_count, 3, -1)
