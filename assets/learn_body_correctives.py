@@ -24,7 +24,7 @@ NOTE = (
     "of the body's joints learned from {} settled bends of a soft body (assets/learn_body_correctives.py); "
     "jaw and eyes: dual-quaternion skinning minus linear blending"
 )
-_STRENGTHS = (0.005, 0.02, 0.05, 0.2, 1.0)
+_STRENGTHS = (0.0001, 0.0007, 0.005, 0.05)
 _HELD = 5
 
 

@@ -26,7 +26,7 @@ from .symmetry import MIRROR
 # The body's joints without jaw, eyes and fingers.
 JOINTS = 22
 # Equation 10 at a body's size: a hand's strength of 5 by the inverse square of its size. See ``--choose``.
-STRENGTH = 0.05
+STRENGTH = 0.0007
 # Vertices farther from a joint than this along the skin have no corrective of it, metres beyond the nearest.
 _REACH = 0.22
 # A vertex that linear skinning leaves this near the flesh in all bends has no corrective, metres.
