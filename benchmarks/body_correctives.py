@@ -178,7 +178,7 @@ def draw(models: dict[str, SurfaceModel], bends: SettledBends, path: Path) -> No
     }
     titles = {"none": "no correctives", "earlier": "dual quaternions", "learned": "learned"}
     model = models["learned"]
-    layout = Layout((300, 280), [titles.get(name, name) for name in posed], ("",) * len(_DRAWN))
+    layout = Layout((240, 224), [titles.get(name, name) for name in posed], ("",) * len(_DRAWN))
     page = blank_sheet(layout)
     for row, (bend, (direction, joints)) in enumerate(_DRAWN.items()):
         index = HELD_OUT_BENDS.index(bend)

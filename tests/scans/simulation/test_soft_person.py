@@ -58,4 +58,6 @@ def test_a_bent_elbow_settles(body, soft_person):
     assert apart[other_side].max() < 1e-3
     near = np.linalg.norm(body.template - person.joints[19], axis=1) < 0.08
     assert 2e-3 < apart[near].mean() < 20e-3
-    assert abs(signed_volume(settled.surface, body.faces) / signed_volume(body.template, body.faces) - 1) < 2e-3
+    assert (
+        abs(signed_volume(settled.surface, body.faces) / signed_volume(body.template, body.faces) - 1) < 2e-3
+    )
