@@ -25,8 +25,8 @@ from .symmetry import MIRROR
 
 # The body's joints without jaw, eyes and fingers.
 JOINTS = 22
-# Of equation 10. A hand's is 5; the inverse square of a body's size alone would ask for 0.05, which left 2.07 mm
-# of held-out bends, 0.005 left 1.42 mm and this 1.29 mm (docs/body_correctives.md).
+# Of equation 10. A hand's is 5; the inverse square of a body's size alone would ask for 0.05, which left 2.07
+# mm of held-out bends, 0.005 left 1.42 mm and this 1.29 mm (docs/body_correctives.md).
 STRENGTH = 0.0007
 # Vertices farther from a joint than this along the skin have no corrective of it, metres beyond the nearest.
 _REACH = 0.22
