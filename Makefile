@@ -63,6 +63,8 @@ assets: $(VENV)/.demo
 	.venv-assets/bin/python assets/build_body.py --out build/body
 	$(BIN)/corporeal merge build/body/body.npz hand --name body --hand-pose full --most-joints 4 -o $(MODELS)/body.npz \
 		--precision float16
+	.venv-assets/bin/python assets/tetrahedralise_body.py
+	.venv-assets/bin/python assets/learn_body_correctives.py
 	.venv-assets/bin/python assets/add_body_poses.py
 	$(BIN)/python assets/calibrate_body_detector.py
 	cp build/body/body_sexes.npz $(MODELS)/

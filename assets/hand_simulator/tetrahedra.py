@@ -1,4 +1,4 @@
-"""The capped hand in tetrahedra, by fTetWild (the wheel wildmeshing)."""
+"""Closed surfaces in tetrahedra, by fTetWild (the wheel wildmeshing); the capped hand."""
 
 from __future__ import annotations
 
@@ -19,35 +19,48 @@ _ENVELOPE = 0.28e-3
 
 
 def tetrahedralised(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (T, 3) in metres and tetrahedra (M, 4) of positive volume."""
+    """The hand: vertices (T, 3) in metres and tetrahedra (M, 4) of positive volume."""
+    vertices, faces = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)
+    corners = np.array([[x, y, z] for x in _AT for y in (-0.2, 0.2) for z in (-0.2, 0.2)])
+    return meshed(vertices, _capped(vertices, faces), corners, np.repeat(_EDGES, 4), _ENVELOPE)
+
+
+def meshed(
+    vertices: np.ndarray, faces: np.ndarray, corners: np.ndarray, edges: np.ndarray, envelope: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (T, 3) in metres and tetrahedra (M, 4) of positive volume inside a closed surface.
+
+    Args:
+        vertices: metres.
+        faces: closed; triangles may meet or overlap.
+        corners: (n, 3) places round the surface, metres, among which the length of edges is interpolated.
+        edges: (n,) lengths wanted there, metres.
+        envelope: how far the surface may move, metres.
+    """
     import wildmeshing
 
-    vertices, faces = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)
-    closed = _capped(vertices, faces)
     diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0)))
     meshing = wildmeshing.Tetrahedralizer(
-        stop_quality=8, edge_length_r=max(_EDGES) / diagonal, epsilon=_ENVELOPE / diagonal
+        stop_quality=8, edge_length_r=float(edges.max()) / diagonal, epsilon=envelope / diagonal
     )
     # fTetWild leaves a file of its own in the working folder.
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
-        trimesh.Trimesh(vertices, closed, process=False).export("hand.off")
-        meshing.load_mesh("hand.off")
-        meshing.set_sizing_field(*_sizes())
+        trimesh.Trimesh(vertices, faces, process=False).export("surface.off")
+        meshing.load_mesh("surface.off")
+        meshing.set_sizing_field(corners, _filled(corners), edges[:, None])
         meshing.tetrahedralize()
         points, tets, *_ = meshing.get_tet_mesh()
     return _oriented(points, tets)
 
 
-def _sizes() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Boxes round the hand as tetrahedra, with the edge length wanted at each of their corners."""
-    corners = np.array([[x, y, z] for x in _AT for y in (-0.2, 0.2) for z in (-0.2, 0.2)])
+def _filled(corners: np.ndarray) -> np.ndarray:
+    """Tetrahedra (m, 4) of positive volume between the corners."""
     # Delaunay needs corners that do not lie on a common sphere.
     shaken = corners + 1e-6 * np.random.default_rng(0).normal(size=corners.shape)
     tets = Delaunay(shaken).simplices
     volumes = _volumes(corners, tets)
     tets, volumes = tets[np.abs(volumes) > 1e-12], volumes[np.abs(volumes) > 1e-12]
-    tets = np.where((volumes < 0)[:, None], tets[:, [1, 0, 2, 3]], tets)
-    return corners, tets.astype(np.int32), np.repeat(_EDGES, 4)[:, None]
+    return np.where((volumes < 0)[:, None], tets[:, [1, 0, 2, 3]], tets).astype(np.int32)
 
 
 def _oriented(points: np.ndarray, tets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -55,6 +68,8 @@ def _oriented(points: np.ndarray, tets: np.ndarray) -> tuple[np.ndarray, np.ndar
     tets = np.where((_volumes(points, tets) < 0)[:, None], tets[:, [1, 0, 2, 3]], tets)
     used, tets = np.unique(tets, return_inverse=True)
     points, tets = points[used].astype(np.float32), tets.reshape(-1, 4)
+    if len(points) > np.iinfo(np.uint16).max:
+        raise SystemExit(f"{len(points)} vertices: more than uint16 counts; ask for longer edges")
     smallest = _volumes(points.astype(np.float64), tets).min()
     print(f"{len(points)} vertices, {len(tets)} tetrahedra, smallest {smallest * 1e9:.3f} mm^3")
     if not smallest > 0:

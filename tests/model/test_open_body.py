@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 import torch
 
-from corporeal.geometry.topology import boundary_loops, connected_components, is_edge_manifold, signed_volume
+from corporeal.geometry.topology import (
+    boundary_loops,
+    connected_components,
+    is_edge_manifold,
+    signed_volume,
+    unique_edges,
+)
 from corporeal.learning.personal import personal_model
 from corporeal.model.files import ModelFileError, open_model
 from corporeal.model.formats.families import FAMILIES
@@ -122,7 +128,7 @@ def test_weights_and_regressor_are_sparse_and_sum_to_one(body):
     rows = body.joint_regressor.toarray()
     assert rows.min() >= 0 and np.abs(rows.sum(axis=1) - 1).max() < 1e-12
     assert (rows > 0).sum(axis=1).max() < 200
-    assert (body.pose_directions != 0).mean() < 0.1
+    assert (body.pose_directions != 0).mean() < 0.11, "hands are nine tenths of it"
 
 
 def test_body_is_its_own_mirror_image(body, joints):
@@ -213,17 +219,50 @@ def test_jaw_and_eyes_turn(body, joints):
     assert np.flatnonzero(np.abs(looking).max(axis=1) > 1e-4).size < 250
 
 
-@pytest.mark.parametrize(
-    ("joint", "turn"),
-    [("left_elbow", (0, -120, 0)), ("right_knee", (110, 0, 0))],
-)
-def test_correctives_bring_back_volume_that_blending_loses(body, joint, turn):
+BENDS = [
+    ("left_elbow", (0, -120, 0)),
+    ("right_knee", (110, 0, 0)),
+    ("left_hip", (-100, 0, 0)),
+    ("left_shoulder", (0, 0, 80)),
+]
+
+
+@pytest.mark.parametrize(("joint", "turn"), BENDS)
+def test_bent_joints_do_not_collapse(body, joints, joint, turn):
+    """Blending draws skin towards a bent joint; with correctives it keeps three quarters of its distance."""
+    index = body.joint_names.index(joint)
+    near = np.linalg.norm(body.template - joints[index], axis=1) < 0.2
+    rest = np.linalg.norm(body.template[near] - joints[index], axis=1).min()
+    plain, corrected = (
+        np.linalg.norm(posed.vertices[near] - posed.joints[index], axis=1).min() / rest
+        for posed in (_posed(body, {joint: turn}, correctives=used) for used in (False, True))
+    )
+    assert corrected > 0.73 and corrected > plain + 0.1
+
+
+@pytest.mark.parametrize(("joint", "turn"), BENDS)
+def test_volume_stays_at_bends(body, joint, turn):
+    """Flesh loses up to 0.5 % itself (docs/body_correctives.md)."""
+    rest = signed_volume(body.template, body.faces)
+    assert abs(signed_volume(_posed(body, {joint: turn}).vertices, body.faces) / rest - 1) < 0.01
+
+
+def test_correctives_bring_back_volume_that_blending_loses(body):
     rest = signed_volume(body.template, body.faces)
     plain, corrected = (
-        signed_volume(_posed(body, {joint: turn}, correctives=used).vertices, body.faces)
+        signed_volume(_posed(body, {"right_knee": (110, 0, 0)}, correctives=used).vertices, body.faces)
         for used in (False, True)
     )
-    assert plain < rest and abs(corrected - rest) < abs(plain - rest)
+    assert plain < rest and abs(corrected - rest) < 0.6 * abs(plain - rest)
+
+
+def test_a_raised_arm_has_no_spikes(body):
+    """Correctives from dual quaternions drew edges of the shoulder out to 3.7 times their length."""
+    raised = _posed(body, {"left_shoulder": (0, 0, 80)}).vertices
+    edges = unique_edges(body.faces)
+    before, after = (np.linalg.norm(v[edges[:, 0]] - v[edges[:, 1]], axis=1) for v in (body.template, raised))
+    long = before > 5e-3
+    assert (after / before)[long].max() < 2.2
 
 
 def test_hips_keep_their_volume(body):

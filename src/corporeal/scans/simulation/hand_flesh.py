@@ -6,15 +6,13 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import scipy.sparse as sp
 from jaxtyping import Float, Int
-from scipy.spatial.transform import Rotation
 
+from corporeal.scans.simulation.bone_rods import hinge_motions, to_segment
+from corporeal.scans.simulation.embedded_skin import EmbeddedSkin
 from corporeal.scans.simulation.files import HandSimulator
 from corporeal.scans.simulation.skeleton import bone_transforms
 from corporeal.scans.simulation.soft_body import FleshOptions, PosedFlesh, SoftBody
-from corporeal.scans.simulation.tetrahedra import laplacian, places, vertex_gradients
-from corporeal.solve.sparse import Factorisation, factorised
 
 HAND = 1
 # Bones fill this share of the way from their axis to the skin.
@@ -23,8 +21,6 @@ _BONE_SHARE = 0.45
 _CLEARANCE = 1.25
 _JOINT_SHARE = 0.6
 _END_CAP = 4e-3
-# How closely the tetrahedra follow the skin of another person, against how smoothly they are carried.
-_FAITH = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,12 +71,7 @@ class SoftHand:
         """
         self._simulator = simulator
         self.joints = joints
-        embedding = _embedding(simulator)
-        self._embedding = embedding
-        self.rest_tets = simulator.tet_vertices + _carried_over(
-            simulator, surface - simulator.surface_vertices
-        )
-        # What the tetrahedra do not follow of the skin stays on it as an offset of the rest shape.
+        self.rest_tets = _embedded(simulator).rest_of(surface)
         self.rest_surface = surface
         weights = _tet_weights(simulator)
         fixed = _fixed_bones(self.rest_tets, weights, surface, simulator.weights, joints, simulator.parents)
@@ -116,33 +107,12 @@ class SoftHand:
     def _motions(self, angles: np.ndarray) -> np.ndarray:
         """Bones, then the ends of bones in the joints, which turn half as far as the bone that follows."""
         motions = bone_transforms(self._simulator, self.joints, angles)
-        halves = np.tile(np.eye(4), (len(_HINGES), 1, 1))
-        for h, bone in enumerate(_HINGES):
-            parent = motions[self._simulator.parents[bone]]
-            turn = Rotation.from_matrix(parent[:3, :3].T @ motions[bone, :3, :3]).as_rotvec()
-            half = Rotation.from_rotvec(turn / 2).as_matrix()
-            centre = self.joints[bone]
-            halves[h, :3, :3] = parent[:3, :3] @ half
-            halves[h, :3, 3] = parent[:3, :3] @ (centre - half @ centre) + parent[:3, 3]
+        halves = hinge_motions(motions, self.joints, self._simulator.parents, _HINGES)
         return np.concatenate([motions, halves])
 
     def _skin(self, vertices: np.ndarray) -> np.ndarray:
-        """Skin in the posed tetrahedra.
-
-        Linear interpolation alone leaves the facets of 3 mm tetrahedra in the skin; half the step from each
-        corner with the corner's own mean gradient makes it exact for quadratic motions.
-        """
-        nearest, shares = self._embedding
-        gradients = vertex_gradients(self.rest_tets, vertices, self._simulator.tets)
-        corners = self._simulator.tets[nearest]
-        offset = self.rest_surface[:, None] - self.rest_tets[corners]
-        steps = np.einsum("ncab,ncb->nca", gradients[corners], offset)
-        middle = np.einsum("nc,nca->na", shares, self.rest_tets[corners])
-        left_over = self.rest_surface - middle
-        mean = np.einsum("nc,ncab->nab", shares, gradients[corners])
-        linear = np.einsum("nc,nca->na", shares, vertices[corners])
-        linear += np.einsum("nab,nb->na", mean, left_over)
-        return 0.5 * (linear + np.einsum("nc,nca->na", shares, vertices[corners] + steps))
+        """Skin in the posed tetrahedra."""
+        return _embedded(self._simulator).posed(self.rest_surface, self.rest_tets, vertices)
 
 
 # Index, middle, little, ring and thumb hold three bones each behind forearm and hand.
@@ -191,10 +161,10 @@ def _fixed_bones(
     for bone in np.unique(bones):
         axes = segments[bones == bone]
         skin = surface[own == bone]
-        distance = np.min([_to_segment(skin, *axis)[0] for axis in axes], axis=0)
+        distance = np.min([to_segment(skin, *axis)[0] for axis in axes], axis=0)
         radius[bone] = _BONE_SHARE * np.median(distance)
     for (head, end), bone in zip(segments, bones, strict=True):
-        distance, along = _to_segment(vertices, head, end)
+        distance, along = to_segment(vertices, head, end)
         length = np.linalg.norm(end - head)
         margin = _CLEARANCE * radius[bone] / length
         # The forearm is cut: it has no end there. The hand's bones begin at the wrist without a gap.
@@ -213,39 +183,11 @@ def _fixed_bones(
     return fixed
 
 
-def _to_segment(points: np.ndarray, head: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distance to a segment, and where along it (0 to 1, beyond at the ends)."""
-    along = (points - head) @ (end - head) / ((end - head) @ (end - head))
-    nearest = head + np.clip(along, 0, 1)[:, None] * (end - head)
-    return np.linalg.norm(points - nearest, axis=1), along
-
-
 @lru_cache(maxsize=2)
-def _embedding(simulator: HandSimulator) -> tuple[np.ndarray, np.ndarray]:
-    """The tetrahedron that every surface vertex lies in (or nearly), and its barycentric weights."""
-    return places(simulator.surface_vertices, simulator.tet_vertices, simulator.tets)
+def _embedded(simulator: HandSimulator) -> EmbeddedSkin:
+    return EmbeddedSkin(simulator.surface_vertices, simulator.tet_vertices, simulator.tets)
 
 
 @lru_cache(maxsize=2)
 def _tet_weights(simulator: HandSimulator) -> np.ndarray:
-    """Skinning weights of the tetrahedra's vertices, spread smoothly from the surface."""
-    weights = np.maximum(_carried_over(simulator, simulator.weights), 0)
-    return weights / weights.sum(1, keepdims=True)
-
-
-@lru_cache(maxsize=2)
-def _carrier(simulator: HandSimulator) -> tuple[sp.csr_matrix, Factorisation, float]:
-    """Skin of tetrahedra's vertices, the solver that carries values over, and the weight of the skin's."""
-    nearest, shares = _embedding(simulator)
-    count, size = len(nearest), len(simulator.tet_vertices)
-    rows = np.repeat(np.arange(count), 4)
-    onto = sp.csr_matrix((shares.ravel(), (rows, simulator.tets[nearest].ravel())), shape=(count, size))
-    smooth = laplacian(simulator.tet_vertices, simulator.tets)
-    scale = _FAITH * smooth.diagonal().mean()
-    return onto, factorised(sp.csr_matrix(scale * onto.T @ onto + smooth)), float(scale)
-
-
-def _carried_over(simulator: HandSimulator, values: np.ndarray) -> np.ndarray:
-    """Values of the tetrahedra's vertices that agree with those of the surface and are smooth inside."""
-    onto, solver, scale = _carrier(simulator)
-    return solver.solve(scale * (onto.T @ values))
+    return _embedded(simulator).weights(simulator.weights)

@@ -1,6 +1,6 @@
-"""Quasi-static soft flesh on rigid bones: the bulges and creases that a skinned hand lacks.
+"""Quasi-static soft flesh on rigid bones: the bulges and creases that a skinned hand or body lacks.
 
-The hand is a tetrahedral mesh; vertices near the bones move with them, the others settle where a nearly
+Either is a tetrahedral mesh; vertices near the bones move with them, the others settle where a nearly
 incompressible hyperelastic energy is smallest, and skin pushes skin apart where it meets.
 """
 
@@ -20,13 +20,13 @@ from corporeal.solve.quasi_newton import QuasiNewtonOptions, Settled, descend
 from corporeal.solve.sparse import Factorisation, factorised
 
 _MM = 1e3
-# Skin meets skin along the normal; within so many millimetres any direction will do.
-_ALIGNED, _CLOSE = 0.75, 0.3
+# Skin meets skin along the normal; within this share of the reach any direction will do.
+_ALIGNED, _CLOSE = 0.75, 0.05
 
 
 @dataclass(frozen=True)
 class FleshOptions:
-    """How soft, and how well settled.
+    """How soft, and how well settled; lengths are a hand's.
 
     Attributes:
         poisson: Poisson's ratio; 0.5 would be incompressible and locks linear tetrahedra.
@@ -34,6 +34,7 @@ class FleshOptions:
         contact: pressure per depth, in shear moduli per millimetre.
         rest_gap: skin of one part closer than this at rest (metres) does not push itself.
         part_gap: nor does that of two parts closer than this: they grow together there.
+        reach: metres within which skin looks for other skin: two or three edges of the tetrahedra.
         increments: steps from rest to the full pose, so small that fingers cannot pass through one another.
         iterations: most solver steps at the full pose; half as many at the others.
         tolerance: metres, largest movement of a vertex in a step below which the flesh has settled.
@@ -44,6 +45,7 @@ class FleshOptions:
     contact: float = 20.0
     rest_gap: float = 12e-3
     part_gap: float = 5e-3
+    reach: float = 6e-3
     increments: int = 4
     iterations: int = 240
     tolerance: float = 0.02e-3
@@ -212,7 +214,7 @@ class _Skin:
         """Vertex, face, barycentric weights, normal and stiffness of every pair that may touch."""
         points = np.ascontiguousarray(x[self._used])
         normals = vertex_normals(points, self._local)
-        reach = 6.0
+        reach = _MM * options.reach
         low = points.min(0) - 1e-6
         shape = ((points.max(0) - low) / reach).astype(np.int64) + 1
         starts, members = kernels.cell_lists(points, low, reach, shape)
@@ -228,7 +230,7 @@ class _Skin:
         # A vertex that lies beside the end of a face's neighbourhood has not met it.
         offset = points[pairs] - np.einsum("pi,pia->pa", weights[pairs], points[corners])
         aligned = np.abs(np.einsum("pa,pa->p", normal, offset))
-        met = aligned > _ALIGNED * np.linalg.norm(offset, axis=1) - _CLOSE
+        met = aligned > _ALIGNED * np.linalg.norm(offset, axis=1) - _CLOSE * reach
         pairs, corners, normal = pairs[met], corners[met], normal[met]
         stiffness = options.contact * self._areas[pairs]
         return self._used[pairs], self._used[corners], weights[pairs], normal, stiffness
