@@ -68,6 +68,7 @@ assets: $(VENV)/.demo
 	.venv-assets/bin/python assets/add_body_poses.py
 	$(BIN)/python assets/calibrate_body_detector.py
 	cp build/body/body_sexes.npz $(MODELS)/
+	.venv-assets/bin/python assets/add_hand_size.py
 	.venv-assets/bin/python assets/demo/build_scan.py
 	.venv-assets/bin/python assets/hand_simulator/build.py
 	.venv-assets/bin/python assets/body_simulator/build.py

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from corporeal.fitting.frame_data import FramePoints
+from corporeal.fitting.free_vertices import coupled_vertices
 from corporeal.fitting.learn_template import TemplateError, learn_subject_template
 from corporeal.fitting.options import TrackingOptions
 from corporeal.fitting.pose_terms import tracking_subspace
@@ -14,6 +16,7 @@ from corporeal.model.files import open_model
 from corporeal.model.jacobian import evaluate
 from corporeal.scans.scan import Scan, Unit
 from corporeal.terms.model_fields import ModelFields, ModelParameters
+from corporeal.terms.scan_to_surface import MovingSurface
 
 FRAMES = 12
 OPTIONS = TrackingOptions(samples=3000, body_points=1500)
@@ -167,3 +170,15 @@ def test_template_of_a_person(sequence):
     assert after < 0.5 * before
     with pytest.raises(TemplateError, match="no frame"):
         learn_subject_template(iter([("gap", None)]), model, start, OPTIONS)
+
+
+def test_faces_that_are_held_do_not_follow_the_scan(sequence):
+    model, _, _, _, surfaces = sequence
+    surface = MovingSurface(model.template, model.faces)
+    normals = vertex_normals(surfaces[0], model.faces)
+    points = FramePoints(surfaces[0] + 2e-3 * normals, normals, 1e-6)
+    for held, bounds in ((True, (0.0, 1e-9)), (False, (0.7e-3, 2.1e-3))):
+        faces = np.full(len(model.faces), held)
+        free = coupled_vertices(surfaces[0], surface, points, OPTIONS, faces)
+        moved = np.linalg.norm(free - surfaces[0], axis=1).mean()
+        assert bounds[0] <= moved <= bounds[1]

@@ -192,7 +192,7 @@ def test_a_sex_spans_the_shapes_of_the_body(body):
 
 
 def test_a_population_of_another_space_and_unknown_names_are_refused(body):
-    with pytest.raises(ValueError, match="3 coefficients for 24"):
+    with pytest.raises(ValueError, match="3 coefficients for 25"):
         of_population(body, Population(np.zeros(3), np.eye(3)), "x")
     with pytest.raises(ModelFileError, match="body_female"):
         open_model("torso_female")
@@ -330,3 +330,18 @@ def test_smplx_poses_the_file_to_the_same_vertices(body, rng):
     assert torch.abs(theirs.joints[0, 55:76] - ours.vertices[0, extra.astype(int)]).max() < 1e-7
     face = body.landmarks["face"].positions(ours.vertices[0].numpy(), ours.joints[0].numpy())
     assert np.abs(theirs.joints[0, 76:127].detach().numpy() - face).max() < 1e-7
+
+
+def test_the_eleventh_shape_number_is_the_size_of_the_hands(body, joints):
+    shape = np.zeros(11)
+    shape[10] = 1.0
+    moved = evaluate(body, shape, np.zeros((55, 3)), np.zeros(3))
+    still = np.ones(body.vertex_count, dtype=bool)
+    for side, hand in HAND_JOINTS.items():
+        carried = body.skinning_weights[:, hand].sum(axis=1) > 1e-3
+        still &= ~carried
+        fingers = hand[1:]
+        before = np.linalg.norm(joints[fingers] - joints[hand[0]], axis=1)
+        after = np.linalg.norm(moved.joints[fingers] - moved.joints[hand[0]], axis=1)
+        assert np.abs(after / before - 1.037).max() < 2e-3, side
+    assert np.abs(moved.vertices - body.template)[still].max() < 5e-6

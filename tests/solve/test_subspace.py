@@ -67,6 +67,17 @@ def test_the_solution_lies_in_the_subspace_and_is_stationary_there(restricted, r
     assert found.cost > solve(restricted.problem, start, options).cost
 
 
+def test_narrowed_slopes_are_those_of_the_product(rng):
+    directions = np.zeros((9, 6))
+    directions[[4, 0, 7], [0, 2, 3]] = 1
+    directions[[1, 2, 3], 1] = 1, -2, 0.5
+    directions[[2, 3, 8], 4] = rng.normal(size=3)
+    directions[6, 5] = 2
+    slopes = rng.normal(size=(5, 9))
+    narrowed = AffineSubspace(np.zeros(9), directions).narrowed(slopes)
+    assert np.allclose(narrowed, slopes @ directions, rtol=1e-14, atol=1e-14)
+
+
 def test_nearest_is_the_least_squares_projection(restricted, rng):
     subspace, x = restricted.subspace, rng.normal(size=6)
     left = x - subspace.lifted(subspace.nearest(x))

@@ -59,7 +59,7 @@ def _scan_to_surface(rng, sigma, robust_scale=np.inf, tangential=1.0):
     return term, {"model": vertices}
 
 
-def _surface_to_scan(rng, sigma, robust_scale=np.inf, tangential=1.0):
+def _surface_to_scan(rng, sigma, robust_scale=np.inf, tangential=1.0, outside=False):
     vertices, faces = _sheet(rng)
     scan_vertices, scan_faces = _sheet(rng, size=21, spacing=2.3e-3)
     scan = ScanSurface(
@@ -70,9 +70,8 @@ def _surface_to_scan(rng, sigma, robust_scale=np.inf, tangential=1.0):
     options = DistanceOptions(sigma, robust_scale, tangential)
     weights = rng.uniform(0.5, 2, len(vertices))
     moved = vertices + rng.normal(scale=3e-4, size=vertices.shape) + [1e-3, 1.3e-3, 8e-4]
-    return SurfaceToScan("back", "model", MovingSurface(vertices, faces), scan, weights, options), {
-        "model": moved
-    }
+    surface = MovingSurface(vertices, faces)
+    return SurfaceToScan("back", "model", surface, scan, weights, options, outside), {"model": moved}
 
 
 def _coupling(rng, sigma):
@@ -149,6 +148,7 @@ CASES = {
     "SurfaceToScan": [
         ("plain", _surface_to_scan, {}),
         ("sliding", _surface_to_scan, {"robust_scale": 2e-3, "tangential": 0.1}),
+        ("outside", _surface_to_scan, {"robust_scale": 2e-3, "tangential": 0.1, "outside": True}),
     ],
     "PartSeparation": [("plain", _separation, {})],
     "EdgeCoupling": [("plain", _coupling, {})],

@@ -123,7 +123,7 @@ class FrameFitter:
             terms.append(SurfaceToScan("back", MODEL, self.surface, start.back, back, distance, outside=True))
         size = columns.shape.stop - columns.shape.start
         if size:
-            # A person has one shape: each frame is held to the mean of those before, the more there are the more.
+            # A person has one shape: a frame is held to the mean of those before, more with each of them.
             spread = float(1 / np.sqrt(weights.shape * (1 + start.shapes) ** 2))
             middle = np.zeros(size) if start.shape is None else start.shape
             terms.append(GaussianPrior.isotropic("shape prior", columns.shape, middle, spread))

@@ -59,7 +59,9 @@ def learn_subject_template(
     plain = model.replace(expression_directions=np.zeros((model.vertex_count, 3, 0)))
     # Six components do not reach every fist, and what the pose cannot say the template would.
     hands: HandPose = "flat" if options.hands == "flat" else "full"
-    fitter = FrameFitter(plain, replace(options, hands=hands), shape_count=min(options.shape_count, plain.shape_count))
+    fitter = FrameFitter(
+        plain, replace(options, hands=hands), shape_count=min(options.shape_count, plain.shape_count)
+    )
     aligned: list[_Aligned] = []
     rejected: dict[str, str] = {}
     vector = _started(fitter, start)

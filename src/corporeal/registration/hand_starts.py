@@ -40,16 +40,17 @@ _ELBOW, _FOREARM = 0.02, 0.25
 _OBSERVATIONS, _POINTS, _TANGENTIAL, _MINIMUM_COSINE = 400.0, 1500, 0.1, 0.3
 # Real fingers leave the ranges of the recorded ones by some degrees.
 _PRIOR_SCALE, _LIMIT_SIGMA = 2.0, 0.15
-# A wrist that is bent more (radians) is tried straight too: beside a thigh it may have been bent the wrong way.
+# A wrist that is bent more (radians) is tried straight too: beside a thigh it may be bent the wrong way.
 _STRAIGHT = 0.4
 # A person's hands are larger or smaller than the body's shape tells, by such a share.
 _HAND_SIZE = 0.05
 _KEPT = 4
+# Weight of the way back: of fists that rest on something it is the less certain of the two.
 _BACK = 0.3
-# The means of known kinds of poses are tried as they are and bent so much more, up to this share of the limits.
+# The means of known kinds of poses are tried as they are and bent so much more, to this share of the limits.
 _BENT, _BENT_TO = 1.5, 0.9
-# What is cut out: the forearm's last three quarters, and what lies about the middle of the hand, metres. Points
-# that lie nearer than this to another part of the body are that part's.
+# What is cut out: the forearm's last three quarters, and what lies about the middle of the hand, metres.
+# Points that lie nearer than this to another part of the body are that part's.
 _ALONG, _FOREARM_RADIUS, _HAND_AHEAD, _HAND_REACH, _OTHERS = 0.25, 0.07, 0.08, 0.17, 0.03
 _FEWEST_POINTS = 150
 # Every so many vertices of an arm lead the body to it; their sigma as a share of a landmark's.
@@ -103,7 +104,8 @@ def hands_tried(
         parameters: that fit the body well, its hands perhaps not.
         names: pose blocks to try; all if None.
     """
-    pose, tried = parameters.pose.copy(), []
+    pose = parameters.pose.copy()
+    tried: list[HandTried] = []
     if scan.is_point_cloud:
         return parameters, tried
     posed = evaluate(model, parameters.shape, parameters.pose, parameters.translation)
@@ -235,7 +237,9 @@ class _ArmFit:
         own = self._descended(self._begun, _WIDE, _NARROW)
         straight = self._begun.copy()
         straight[self._wrist] = 0
-        wrists = [self._begun] if np.linalg.norm(self._begun[self._wrist]) < _STRAIGHT else [self._begun, straight]
+        wrists = (
+            [self._begun] if np.linalg.norm(self._begun[self._wrist]) < _STRAIGHT else [self._begun, straight]
+        )
         starts = [self._posed(wrist, fingers) for wrist in wrists for fingers in self._known_fingers()]
         fingers = self._best_of(starts, own)
         found = self._best_of(self._other_thumbs(fingers.state.parameters), fingers)
@@ -257,7 +261,7 @@ class _ArmFit:
         return self._terms(_NARROW)[0].at(fields).cost / _OBSERVATIONS
 
     def _known_fingers(self) -> list[Float[np.ndarray, " n"]]:
-        """The flat hand, the middle of every kind of pose that is known, and the same bent more.
+        """The flat hand, the middle of every known kind of pose, and the same bent more.
 
         Recorded kinds of poses end before the closed fist, whose start must be near.
         """
@@ -276,7 +280,7 @@ class _ArmFit:
         return posed
 
     def _other_thumbs(self, vector: Float[np.ndarray, " Q"]) -> list[Float[np.ndarray, " Q"]]:
-        """The same with the thumb of every known pose: beside the fist, or over it, it is in the others' way."""
+        """The same with every known thumb: beside a fist or over it, a wrong one is in the fingers' way."""
         names = [self._model.joint_names[joint] for joint in self._block.joints]
         thumb = np.repeat(["thumb" in name for name in names], 3)
         own = vector[self._where]

@@ -145,15 +145,19 @@ class RegistrationOptions:
         """A body is ten times as long as a hand, its clothes and hair are none of it, and limbs hang freely.
 
         Distances are in thirds of a hand's; no second start, whose limbs would be legs and a trunk. Parts are
-        kept out of each other only when vertices are free: before, a thigh that is yet too thick pushes the hand
-        that rests on it away, by 4 cm in one of eight.
+        kept out of each other only when vertices are free: before, a thigh that is yet too thick pushes the
+        hand that rests on it away, by 4 cm in one of eight.
         """
         usual = cls()
         surface = (
             replace(usual.surface[0], points=3000, sigma=8e-3, robust_scale=60e-3, landmark_sigma=10e-3),
             replace(usual.surface[1], points=5000, sigma=4e-3, robust_scale=30e-3, landmark_sigma=20e-3),
             replace(
-                usual.surface[2], points=10_000, sigma=2e-3, robust_scale=12e-3, landmark_sigma=60e-3,
+                usual.surface[2],
+                points=10_000,
+                sigma=2e-3,
+                robust_scale=12e-3,
+                landmark_sigma=60e-3,
                 separation_sigma=np.inf,
             ),
         )

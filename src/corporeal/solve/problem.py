@@ -132,9 +132,9 @@ class Problem:
 
         Args:
             evaluation: of this problem.
-            narrowed: rows (n, Q) of slopes by the parameters -> rows of slopes by fewer unknowns, on which the
-                parameters depend linearly; None where the parameters are the unknowns. Jacobians are narrowed
-                before anything is multiplied by them: nearly all of a step's time goes there.
+            narrowed: rows (n, Q) of slopes by the parameters -> rows of slopes by fewer unknowns, on which
+                the parameters depend linearly; None where the parameters are the unknowns. Jacobians are
+                narrowed before anything is multiplied by them: nearly all of a step's time goes there.
         """
         state = evaluation.state
         gradient, curvature = _sum_quadratics([value.quadratic() for value in evaluation.values.values()])

@@ -18,7 +18,6 @@ from corporeal.solve.problem import Fields, Quadratic
 from corporeal.terms.distance import DistanceOptions, WeightedDistances
 from corporeal.terms.scan_to_surface import MovingSurface
 
-
 # What lies so far (metres) from the edge of a hole sticks out of it; nearer, it may just not have been seen.
 _FAR_FROM_EDGE = 12e-3
 
@@ -49,9 +48,9 @@ class SurfaceToScan:
         scan: the fixed scan.
         weights: (V,) base weights; zero leaves a vertex out.
         options: sigma, robust scale, curvature.
-        outside: only vertices on the outer side of the scan count, the others cost nothing: skin within may be
-            skin that nothing saw, of folded fingers say. Of a fist's vertices a third lie so, and a pose that
-            hides none of them looks better by them, however wrong it is.
+        outside: only vertices on the outer side of the scan count, the others cost nothing, and normals are
+            not compared: skin within may be skin that nothing saw, of folded fingers say. A third of a
+            fist's vertices lie so, and a pose that hides none looks better by them, however wrong it is.
     """
 
     name: str
