@@ -4,8 +4,8 @@ python assets/add_hand_size.py [--body FILE] [--sexes FILE]
 
 The identities that the shape space is made of have hands that follow from the body. Real hands do not: hand
 length and stature correlate by about 0.7, so that seven tenths of its spread of 5 % (about 193 +- 10 mm in
-men) are left when the stature is known. One number is added for both hands, as the eleventh, so that the first ten
-mean what they meant. Run again, it gives the same file.
+men) are left when the stature is known. One number is added for both hands, as the eleventh, so that the
+first ten mean what they meant. Run again, it gives the same file.
 """
 
 from __future__ import annotations
