@@ -29,6 +29,8 @@ _TANGENTIAL = 0.1
 # Equation 13: the share of the way back from the model to the scan.
 _BACK_SHARE = 0.3
 _SURFACE_POINTS = 12_000
+# In a first frame, what lies so far (metres) from the edge of a hole sticks out of it; later it is missing.
+_STICKING_OUT = 12e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +40,8 @@ class FrameStart:
     Attributes:
         vector: (Q,) parameters.
         previous: pose of the last good frame for the zero-velocity term, or None.
-        first: whether the body's prior and, with ``back``, distances both ways are wanted.
-        back: the scan's surface, for the first frame of a subject, or None.
+        first: whether the body's prior and distances back from all of the body are wanted.
+        back: the scan's surface, for distances both ways, of hands alone but in the first frame; or None.
         shape: (s,) that of the frames before, ``shapes`` of them, for the prior of equation 12; or None.
         shapes: how many frames have told the shape.
     """
@@ -70,6 +72,8 @@ class FrameFitter:
         self.surface = MovingSurface(model.template, model.faces)
         self.hands = HandFaces.of_model(model)
         self.on_hands = self.hands.any_hand(len(model.faces))
+        self._of_hands = np.zeros(model.vertex_count)
+        self._of_hands[np.unique(model.faces[self.on_hands])] = 1.0
         self._subspace = tracking_subspace(model, self.fields.columns, options)
 
     def fit(self, points: FramePoints, start: FrameStart, steps: tuple[AnnealingStep, ...]) -> Solution:
@@ -119,8 +123,11 @@ class FrameFitter:
         ]
         if start.back is not None:
             share = _BACK_SHARE * float(shares.sum()) / self.model.vertex_count
-            back = np.full(self.model.vertex_count, share)
-            terms.append(SurfaceToScan("back", MODEL, self.surface, start.back, back, distance, outside=True))
+            back = np.full(self.model.vertex_count, share) if start.first else share * self._of_hands
+            edge = _STICKING_OUT if start.first else np.inf
+            terms.append(
+                SurfaceToScan("back", MODEL, self.surface, start.back, back, distance, True, edge)
+            )
         size = columns.shape.stop - columns.shape.start
         if size:
             # A person has one shape: a frame is held to the mean of those before, more with each of them.

@@ -93,11 +93,12 @@ def _aligned(
     """One frame fitted, its free vertices unposed; or why not."""
     options, first = fitter.options, not shapes
     points = frame_points(scan, options)
+    back = scan_surface(scan)
     if first:
-        begin = FrameStart(vector, first=True, back=scan_surface(scan))
+        begin = FrameStart(vector, first=True, back=back)
     else:
         previous = fitter.fields.parameters(vector).pose
-        begin = FrameStart(vector, previous, shape=np.mean(shapes, axis=0), shapes=len(shapes))
+        begin = FrameStart(vector, previous, back=back, shape=np.mean(shapes, axis=0), shapes=len(shapes))
     solution = fitter.fit(points, begin, options.first if first else options.annealing)
     if not solution.outcome.usable:
         return None, f"the fit {solution.outcome.value}"

@@ -74,7 +74,7 @@ class TrackingOptions:
         annealing: the solves of a frame (lambda_a from 100 to 500), the first with a wide robust scale.
         first: the solves of the first frame.
         retry: the solves of a frame that was lost, with a wider robust scale.
-        hands: six components per hand, all 45 numbers, or flat hands.
+        hands: all 45 numbers, ``components`` per hand, or flat hands.
         components: per hand.
         hand_prior: the mixture, one Gaussian in its place, or none.
         velocity: False leaves the zero-velocity term out.
@@ -93,7 +93,7 @@ class TrackingOptions:
     annealing: tuple[AnnealingStep, ...] = (AnnealingStep(100.0, 0.1, 4), AnnealingStep(500.0, 0.01, 5))
     first: tuple[AnnealingStep, ...] = (AnnealingStep(100.0, 0.03, 10), AnnealingStep(500.0, 0.01, 15))
     retry: tuple[AnnealingStep, ...] = (AnnealingStep(100.0, 0.15, 12), AnnealingStep(500.0, 0.02, 10))
-    hands: HandPose = "components"
+    hands: HandPose = "full"
     components: int = 6
     hand_prior: HandPrior = "mixture"
     velocity: bool = True

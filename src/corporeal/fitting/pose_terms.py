@@ -12,6 +12,7 @@ from corporeal.model.surface_model import SurfaceModel
 from corporeal.solve.problem import Term
 from corporeal.solve.subspace import AffineSubspace
 from corporeal.terms.gaussian_prior import GaussianPrior
+from corporeal.terms.hinges import hinge_terms
 from corporeal.terms.pose_limits import PoseLimits
 from corporeal.terms.pose_mixture import MixturePrior
 from corporeal.terms.pose_subspace import pose_subspace
@@ -19,6 +20,8 @@ from corporeal.terms.pose_subspace import pose_subspace
 # A scan says nothing of the eyes, and little of the jaw: single joints of the head stay near zero.
 _LONE_JOINT = 0.03
 _LIMIT = 0.1
+# Sine of the angle by which a forearm or shin may leave the plane in which it bends.
+_HINGE = 0.03
 # lambda_theta_b was found for a spread of one radian about the mean; recorded poses spread by a third of it.
 _BODY_MIXTURE = 0.1
 # A direction in which the recorded poses hardly vary is not forbidden: 3 degrees about it stay cheap.
@@ -55,6 +58,7 @@ def pose_terms(
             terms.append(_body_term(block, where, options.weights.body_pose / annealing))
         if block.limits is not None:
             terms.append(PoseLimits(f"{block.name} limits", where, block.limits, _LIMIT))
+    terms += hinge_terms(model, columns, _HINGE)
     if options.velocity and previous is not None:
         sigma = float(1 / np.sqrt(options.weights.velocity))
         terms.append(GaussianPrior.isotropic("velocity", columns.pose, previous.ravel(), sigma))

@@ -14,12 +14,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from corporeal.fitting.frame_data import FramePoints, frame_points
-from corporeal.fitting.frame_fit import FrameFitter, FrameMeasures, FrameStart
+from corporeal.fitting.frame_fit import FrameFitter, FrameMeasures, FrameStart, scan_surface
 from corporeal.fitting.options import TrackingBounds, TrackingOptions
 from corporeal.fitting.pose_terms import is_hand
 from corporeal.fitting.subject_template import SubjectTemplate
 from corporeal.model.surface_model import SurfaceModel
 from corporeal.scans.scan import Scan
+from corporeal.terms.surface_to_scan import ScanSurface
 
 Status = Literal["ok", "doubtful", "failed"]
 
@@ -132,7 +133,7 @@ class Tracker:
             return self._lost(name, found, {"total": time.perf_counter() - begun})
         points = frame_points(scan, self.options)
         sampled = time.perf_counter()
-        vector, measures = self._fitted(points)
+        vector, measures = self._fitted(points, scan_surface(scan))
         ended = time.perf_counter()
         seconds = {"sample": sampled - begun, "fit": ended - sampled, "total": ended - begun}
         if measures is None:
@@ -147,18 +148,20 @@ class Tracker:
             measures.seen,
         )  # fmt: skip
 
-    def _fitted(self, points: FramePoints) -> tuple[np.ndarray, FrameMeasures | None]:
+    def _fitted(
+        self, points: FramePoints, back: ScanSurface | None
+    ) -> tuple[np.ndarray, FrameMeasures | None]:
         """The frame's parameters; a frame that is lost is tried again from farther away."""
         state, options = self.state, self.options
         previous = state.pose if state.fitted else None
         vector = state.predicted(self._moving) if options.predict else state.vector()
-        start = FrameStart(vector, previous, first=not state.fitted)
+        start = FrameStart(vector, previous, first=not state.fitted, back=back)
         steps = options.annealing if state.fitted else options.first
         vector, measures = self._tried(points, start, steps)
         if measures is not None and judged(measures, options.bounds)[0] == "ok":
             return vector, measures
         # The retry leaves out the pull to the last pose: much time may have passed since.
-        again, other = self._tried(points, FrameStart(state.vector(), None, first=True), options.retry)
+        again, other = self._tried(points, FrameStart(state.vector(), None, first=True, back=back), options.retry)
         if measures is None or (other is not None and _badness(other) < 0.8 * _badness(measures)):
             return again, other
         return vector, measures

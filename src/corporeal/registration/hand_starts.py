@@ -45,6 +45,8 @@ _STRAIGHT = 0.4
 # A person's hands are larger or smaller than the body's shape tells, by such a share.
 _HAND_SIZE = 0.05
 _KEPT = 4
+# What lies so far (metres) from the edge of a hole sticks out of it; nearer, it may just not have been seen.
+_STICKING_OUT = 12e-3
 # Weight of the way back: of fists that rest on something it is the less certain of the two.
 _BACK = 0.3
 # The means of known kinds of poses are tried as they are and bent so much more, to this share of the limits.
@@ -302,7 +304,7 @@ class _ArmFit:
         root = slice(columns.pose.start, columns.pose.start + 3)
         return [
             ScanToSurface("scan", MODEL, arm.surface, self._points, weights, self._normals, distance),
-            SurfaceToScan("back", MODEL, arm.surface, self._scan, back, distance, outside=True),
+            SurfaceToScan("back", MODEL, arm.surface, self._scan, back, distance, True, _STICKING_OUT),
             GaussianPrior.isotropic("elbow", columns.translation, self._begun[columns.translation], _ELBOW),
             GaussianPrior.isotropic("forearm", root, self._begun[root], _FOREARM),
             *prior_terms(

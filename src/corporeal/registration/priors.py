@@ -10,6 +10,7 @@ from corporeal.model.surface_model import SurfaceModel
 from corporeal.registration.gaussian_pose import GaussianPose
 from corporeal.solve.problem import Term
 from corporeal.terms.gaussian_prior import GaussianPrior
+from corporeal.terms.hinges import hinge_terms
 from corporeal.terms.pose_limits import PoseLimits
 from corporeal.terms.pose_mixture import MixturePrior
 
@@ -17,6 +18,8 @@ from corporeal.terms.pose_mixture import MixturePrior
 _FLOOR = np.deg2rad(3.0)
 # Where nothing is known of a joint, half a radian is one standard deviation.
 _UNKNOWN = 0.5
+# Sine of the angle by which a forearm or shin may leave the plane in which it bends.
+_HINGE = 0.03
 
 
 def prior_terms(
@@ -40,7 +43,7 @@ def prior_terms(
             terms.append(_given_prior(block, where, pose_prior.for_side(model.side), pose_prior_scale))
         if block.limits is not None:
             terms.append(PoseLimits(f"{block.name} limits", where, block.limits, limit_sigma))
-    return terms
+    return terms + hinge_terms(model, columns, _HINGE)
 
 
 def _pose_prior(block: PoseBlock, where: slice, scale: float) -> Term:

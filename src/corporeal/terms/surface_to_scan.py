@@ -18,8 +18,6 @@ from corporeal.solve.problem import Fields, Quadratic
 from corporeal.terms.distance import DistanceOptions, WeightedDistances
 from corporeal.terms.scan_to_surface import MovingSurface
 
-# What lies so far (metres) from the edge of a hole sticks out of it; nearer, it may just not have been seen.
-_FAR_FROM_EDGE = 12e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +49,9 @@ class SurfaceToScan:
         outside: only vertices on the outer side of the scan count, the others cost nothing, and normals are
             not compared: skin within may be skin that nothing saw, of folded fingers say. A third of a
             fist's vertices lie so, and a pose that hides none looks better by them, however wrong it is.
+        sticking_out: with ``outside``, vertices whose closest point is the edge of a hole count where they are
+            farther than this from it, metres: fingers that stick out of a hole. Infinite where what is missing
+            may have been there.
     """
 
     name: str
@@ -60,6 +61,7 @@ class SurfaceToScan:
     weights: Float[np.ndarray, " V"]
     options: DistanceOptions
     outside: bool = False
+    sticking_out: float = np.inf
     _last_faces: np.ndarray | None = None
 
     def at(self, fields: Fields) -> SurfaceToScanValue:
@@ -73,7 +75,7 @@ class SurfaceToScan:
         weights = self.weights
         if self.outside:
             beyond = np.einsum("na,na->n", offsets, normals) > 0
-            far = np.einsum("na,na->n", offsets, offsets) > _FAR_FROM_EDGE**2
+            far = np.einsum("na,na->n", offsets, offsets) > self.sticking_out**2
             matched = beyond & (~on_edge | far)
             weights = np.where(matched, weights, 0.0)
         else:
