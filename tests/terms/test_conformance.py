@@ -20,6 +20,7 @@ from corporeal.solve.problem import PARAMETERS, Term
 from corporeal.terms.coupling import EdgeCoupling
 from corporeal.terms.distance import DistanceOptions
 from corporeal.terms.gaussian_prior import GaussianPrior
+from corporeal.terms.hinges import Hinges
 from corporeal.terms.landmarks import LandmarkDistances
 from corporeal.terms.mesh_pattern import MeshPattern
 from corporeal.terms.part_separation import PartSeparation
@@ -121,6 +122,13 @@ def _limits(rng, sigma):
     return PoseLimits("limits", slice(0, 6), limits, sigma), {PARAMETERS: 2 * rng.normal(size=7)}
 
 
+def _hinges(rng, sigma):
+    """Three of five joints."""
+    frames = np.linalg.qr(rng.normal(size=(3, 3, 3)))[0]
+    term = Hinges("hinges", slice(1, 16), np.array([1, 3, 4]), frames[:, 0], frames[:, 1], sigma)
+    return term, {PARAMETERS: rng.normal(size=18)}
+
+
 def _separation(rng, sigma):
     """Two closed boxes of triangles, the one standing 2 mm in the other."""
     first, faces = _box(rng)
@@ -156,9 +164,10 @@ CASES = {
     "GaussianPrior": [("plain", _gaussian, {})],
     "MixturePrior": [("plain", _mixture, {}), ("weighted", _mixture, {"weighted": True})],
     "PoseLimits": [("plain", _limits, {})],
+    "Hinges": [("plain", _hinges, {})],
 }
 # Terms in metres have sigmas of millimetres, terms in radians or coefficients of tenths.
-SIGMAS = {"GaussianPrior": 0.5, "MixturePrior": 0.7, "PoseLimits": 0.3}
+SIGMAS = {"GaussianPrior": 0.5, "MixturePrior": 0.7, "PoseLimits": 0.3, "Hinges": 0.03}
 # The constants of a mixture do not scale with its sigma, nor does a robust scale given in units of sigma.
 NOT_PURE = {"MixturePrior-plain", "LandmarkDistances-robust"}
 FLAT = [

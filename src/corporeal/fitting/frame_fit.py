@@ -125,9 +125,7 @@ class FrameFitter:
             share = _BACK_SHARE * float(shares.sum()) / self.model.vertex_count
             back = np.full(self.model.vertex_count, share) if start.first else share * self._of_hands
             edge = _STICKING_OUT if start.first else np.inf
-            terms.append(
-                SurfaceToScan("back", MODEL, self.surface, start.back, back, distance, True, edge)
-            )
+            terms.append(SurfaceToScan("back", MODEL, self.surface, start.back, back, distance, True, edge))
         size = columns.shape.stop - columns.shape.start
         if size:
             # A person has one shape: a frame is held to the mean of those before, more with each of them.

@@ -161,7 +161,9 @@ class Tracker:
         if measures is not None and judged(measures, options.bounds)[0] == "ok":
             return vector, measures
         # The retry leaves out the pull to the last pose: much time may have passed since.
-        again, other = self._tried(points, FrameStart(state.vector(), None, first=True, back=back), options.retry)
+        again, other = self._tried(
+            points, FrameStart(state.vector(), None, first=True, back=back), options.retry
+        )
         if measures is None or (other is not None and _badness(other) < 0.8 * _badness(measures)):
             return again, other
         return vector, measures

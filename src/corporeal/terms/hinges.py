@@ -1,7 +1,8 @@
 """Elbows and knees bend about one axis: the bone below stays in the plane across it.
 
-The numbers of an axis-angle do not say so: a forearm that is bent and turned has all three. Limits on them must be
-wide, and a straight-looking upper arm then turns about itself at will, the elbow making up for it sideways.
+The numbers of an axis-angle do not say so: a forearm that is bent and turned has all three. Limits on them
+must be wide, and an upper arm, which looks alike from all sides, then turns about itself at will, the elbow
+making up for it sideways.
 """
 
 from __future__ import annotations

@@ -19,7 +19,6 @@ from corporeal.terms.distance import DistanceOptions, WeightedDistances
 from corporeal.terms.scan_to_surface import MovingSurface
 
 
-
 @dataclass(frozen=True, eq=False)
 class ScanSurface:
     """A fixed scan surface to measure against.
@@ -46,12 +45,12 @@ class SurfaceToScan:
         scan: the fixed scan.
         weights: (V,) base weights; zero leaves a vertex out.
         options: sigma, robust scale, curvature.
-        outside: only vertices on the outer side of the scan count, the others cost nothing, and normals are
-            not compared: skin within may be skin that nothing saw, of folded fingers say. A third of a
-            fist's vertices lie so, and a pose that hides none looks better by them, however wrong it is.
-        sticking_out: with ``outside``, vertices whose closest point is the edge of a hole count where they are
-            farther than this from it, metres: fingers that stick out of a hole. Infinite where what is missing
-            may have been there.
+        outside: only vertices on the outer side of the scan count, the others cost nothing, and normals
+            are not compared: skin within may be skin that nothing saw, of folded fingers say. A third of
+            a fist's vertices lie so, and a pose that hides none looks better by them, however wrong it is.
+        sticking_out: with ``outside``, vertices whose closest point is the edge of a hole count where they
+            are farther than this from it, metres: fingers that stick out of a hole. Infinite where what is
+            missing may have been there.
     """
 
     name: str
