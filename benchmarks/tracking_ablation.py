@@ -35,7 +35,7 @@ VARIANTS = {
     "no velocity term": TrackingOptions(velocity=False),
     "single Gaussian": TrackingOptions(hand_prior="gaussian"),
     "flat hands": TrackingOptions(hands="flat"),
-    "all 45 numbers": TrackingOptions(hands="full"),
+    "six components": TrackingOptions(hands="components"),
     "no prediction": TrackingOptions(predict=False),
     "first scale 3 cm": TrackingOptions(
         annealing=(AnnealingStep(100.0, 0.03, 4), AnnealingStep(500.0, 0.01, 5)),

@@ -15,6 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Bool, Float, Int
 
+from corporeal.geometry.closest_points import SurfaceTree
 from corporeal.geometry.rotations_numeric import axis_angle_from_matrix
 from corporeal.model.jacobian import Evaluated, evaluate
 from corporeal.model.landmarks import LandmarkSet
@@ -188,7 +189,7 @@ def _cut_out(scan: Scan, posed: Evaluated, model: SurfaceModel, arm: _Arm) -> Sc
     near = np.flatnonzero(on_forearm | about_hand)
     if not len(near):
         return None
-    closest = MovingSurface(posed.vertices, model.faces).closest(posed.vertices, scan.points[near], None)
+    closest = SurfaceTree(posed.vertices, model.faces).closest(scan.points[near])
     own = np.zeros(model.vertex_count, dtype=bool)
     own[arm.vertices] = True
     kept = own[model.faces[closest.faces]].any(axis=1) | (closest.distances > _OTHERS)
@@ -215,6 +216,11 @@ def _local_pose(
     return own
 
 
+def _cost(solution: Solution) -> float:
+    """What tells which of two descents is better; one that broke is worse than any."""
+    return solution.cost if solution.outcome.usable and np.isfinite(solution.cost) else np.inf
+
+
 class _ArmFit:
     """One arm, in the shape of its person, being fitted to what was cut out of a scan."""
 
@@ -239,19 +245,18 @@ class _ArmFit:
         own = self._descended(self._begun, _WIDE, _NARROW)
         straight = self._begun.copy()
         straight[self._wrist] = 0
-        wrists = (
-            [self._begun] if np.linalg.norm(self._begun[self._wrist]) < _STRAIGHT else [self._begun, straight]
-        )
+        bent = np.linalg.norm(self._begun[self._wrist]) > _STRAIGHT
+        wrists = [self._begun, straight] if bent else [self._begun]
         starts = [self._posed(wrist, fingers) for wrist in wrists for fingers in self._known_fingers()]
-        fingers = self._best_of(starts, own)
-        found = self._best_of(self._other_thumbs(fingers.state.parameters), fingers)
+        found = self._best_of(starts, own)
+        found = self._best_of(self._other_thumbs(found.state.parameters), found)
         return found.state.parameters, found.cost, own.cost
 
     def _best_of(self, starts: list[Float[np.ndarray, " Q"]], other: Solution) -> Solution:
         """All go the wide way, the best of them the narrow one too."""
-        wide = sorted((self._descended(start, _WIDE) for start in starts), key=lambda found: found.cost)
+        wide = sorted((self._descended(start, _WIDE) for start in starts), key=_cost)
         narrow = [self._descended(found.state.parameters, _WIDE, _NARROW) for found in wide[:_KEPT]]
-        return min([other, *narrow], key=lambda found: found.cost)
+        return min([other, *narrow], key=_cost)
 
     def vertices(self, vector: Float[np.ndarray, " Q"]) -> Float[np.ndarray, "n 3"]:
         """The posed arm, metres."""
