@@ -10,7 +10,7 @@ from jaxtyping import Float
 from corporeal.fitting.frame_data import FramePoints, HandFaces, chosen_points, seen_shares
 from corporeal.fitting.options import AnnealingStep, TrackingOptions
 from corporeal.fitting.pose_terms import pose_terms, tracking_subspace
-from corporeal.geometry.closest_points import SurfaceTree
+from corporeal.geometry.closest_points import ClosestPoints, SurfaceTree
 from corporeal.geometry.clustering import clustered
 from corporeal.geometry.normals import face_normals
 from corporeal.geometry.topology import open_sides
@@ -28,6 +28,9 @@ from corporeal.terms.surface_to_scan import ScanSurface, SurfaceToScan
 _TANGENTIAL = 0.1
 # Equation 13: the share of the way back from the model to the scan.
 _BACK_SHARE = 0.3
+# After the first frame: asked of hands of which so much is seen (a fist shows a quarter of its skin), and in
+# solves with a robust scale so narrow, metres.
+_HAND_SEEN, _BACK_WITHIN = 0.15, 0.02
 _SURFACE_POINTS = 12_000
 # In a first frame, what lies so far (metres) from the edge of a hole sticks out of it; later it is missing.
 _STICKING_OUT = 12e-3
@@ -72,8 +75,6 @@ class FrameFitter:
         self.surface = MovingSurface(model.template, model.faces)
         self.hands = HandFaces.of_model(model)
         self.on_hands = self.hands.any_hand(len(model.faces))
-        self._of_hands = np.zeros(model.vertex_count)
-        self._of_hands[np.unique(model.faces[self.on_hands])] = 1.0
         self._subspace = tracking_subspace(model, self.fields.columns, options)
 
     def fit(self, points: FramePoints, start: FrameStart, steps: tuple[AnnealingStep, ...]) -> Solution:
@@ -109,6 +110,22 @@ class FrameFitter:
         }
         return FrameMeasures(s2m_mm, seen_shares(points, closest, vertices, self.surface, self.hands))
 
+    def _of_seen_hands(
+        self, points: FramePoints, closest: ClosestPoints, vertices: np.ndarray, step: AnnealingStep
+    ) -> Float[np.ndarray, " V"]:
+        """1 for vertices of hands that the scan shows, of which distances back to it can be asked.
+
+        All skin of a hand that is missing lies outside of the scan: it would be drawn to the nearest thigh.
+        """
+        asked = np.zeros(self.model.vertex_count)
+        if step.robust_scale > _BACK_WITHIN:
+            return asked
+        shares = seen_shares(points, closest, vertices, self.surface, self.hands)
+        for name, mask in self.hands.masks.items():
+            if shares[f"{name}_seen"] > _HAND_SEEN:
+                asked[np.unique(self.model.faces[mask])] = 1.0
+        return asked
+
     def _terms(
         self, points: FramePoints, vector: np.ndarray, start: FrameStart, step: AnnealingStep
     ) -> list[Term]:
@@ -116,14 +133,17 @@ class FrameFitter:
         cosine = -1.0 if points.normals is None else options.minimum_cosine
         sigma = float(1 / np.sqrt(step.weight * weights.data))
         distance = DistanceOptions(sigma, step.robust_scale, _TANGENTIAL, cosine)
-        closest = self.surface.closest(self.fields.evaluated(vector).vertices, points.positions, None)
+        vertices = self.fields.evaluated(vector).vertices
+        closest = self.surface.closest(vertices, points.positions, None)
         near, shares = chosen_points(points, closest, self.on_hands, options)
         terms: list[Term] = [
             ScanToSurface("scan", MODEL, self.surface, near.positions, shares, near.normals, distance)
         ]
         if start.back is not None:
             share = _BACK_SHARE * float(shares.sum()) / self.model.vertex_count
-            back = np.full(self.model.vertex_count, share) if start.first else share * self._of_hands
+            back = share * np.ones(self.model.vertex_count)
+            if not start.first:
+                back *= self._of_seen_hands(points, closest, vertices, step)
             edge = _STICKING_OUT if start.first else np.inf
             terms.append(SurfaceToScan("back", MODEL, self.surface, start.back, back, distance, True, edge))
         size = columns.shape.stop - columns.shape.start
