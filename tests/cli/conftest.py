@@ -1,8 +1,10 @@
-"""Registered sessions without scans: records written from a posed model, for learning to read."""
+"""Registered sessions without scans, for learning to read, and a real browser for pages."""
 
 from __future__ import annotations
 
+import contextlib
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +17,12 @@ from corporeal.registration.session.files import make_folder, record_path, write
 from corporeal.registration.session.model_digest import model_digest
 from corporeal.registration.session.records import SessionRecord
 
+CHROMIUM = Path("/usr/bin/chromium")
+CHROMIUM_FLAGS = [
+    "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking",
+    "--disable-component-update", "--disable-sync", "--disable-gpu", "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+]  # fmt: skip
 _TURN = np.array([1.0, -1.0, -1.0])
 _FLIP = np.array([-1.0, 1.0, 1.0])
 
@@ -75,3 +83,27 @@ def write_registrations():
 @pytest.fixture(scope="session")
 def decide():
     return _decide
+
+
+@pytest.fixture
+def browser():
+    """Opens a page of a real Chromium: ``with browser(profile, width, height) as page``."""
+    if not CHROMIUM.exists():
+        pytest.skip(f"{CHROMIUM} is not installed (Debian's package chromium)")
+    from playwright import sync_api
+
+    @contextlib.contextmanager
+    def opened(profile: Path, width: int, height: int) -> Iterator:
+        with sync_api.sync_playwright() as playwright:
+            context = playwright.chromium.launch_persistent_context(
+                str(profile), executable_path=str(CHROMIUM), headless=True, args=CHROMIUM_FLAGS,
+                viewport={"width": width, "height": height},
+            )  # fmt: skip
+            try:
+                yield context.pages[0]
+            finally:
+                # A test may have killed it.
+                with contextlib.suppress(sync_api.Error):
+                    context.close()
+
+    return opened

@@ -18,9 +18,6 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 from PIL import Image
-
-pytest.importorskip("viser")
-
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
@@ -30,12 +27,6 @@ made_session = importlib.util.module_from_spec(_SPEC)
 _SPEC.loader.exec_module(made_session)
 
 COUNT = 40
-CHROMIUM = Path("/usr/bin/chromium")
-FLAGS = [
-    "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking",
-    "--disable-component-update", "--disable-sync", "--disable-gpu", "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-]  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -132,24 +123,6 @@ def test_it_listens_on_this_machine_only(registered):
         assert listening == ["0100007F" + port]
 
 
-@contextlib.contextmanager
-def browser(profile: Path) -> Iterator:
-    """A page of a real Chromium."""
-    sync_api = pytest.importorskip("playwright.sync_api")
-    if not CHROMIUM.exists():
-        pytest.skip(f"{CHROMIUM} is not installed (Debian's package chromium)")
-    with sync_api.sync_playwright() as playwright:
-        context = playwright.chromium.launch_persistent_context(
-            str(profile), executable_path=str(CHROMIUM), headless=True, args=FLAGS,
-            viewport={"width": 1280, "height": 800},
-        )  # fmt: skip
-        try:
-            yield context.pages[0]
-        finally:
-            with contextlib.suppress(sync_api.Error):
-                context.close()
-
-
 def shown(page, decided: int, name: str | None = None) -> str:
     """Wait until so many are decided (and a scan is shown); the name of the scan."""
     wanted = f"#curation[data-decided='{decided}']" + (f"[data-name='{name}']" if name else "")
@@ -186,12 +159,12 @@ def decided_by_keyboard(page, results: Path, wanted: list[str], names: list[str]
 
 
 @pytest.mark.slow
-def test_thirty_decisions_by_keyboard_survive_a_killed_browser(registered, tmp_path):
+def test_thirty_decisions_by_keyboard_survive_a_killed_browser(registered, browser, tmp_path):
     results = registered
     names = sorted(path.stem for path in (results / "records").glob("*.npz"))
     wanted = {name: "reject" if number % 3 == 2 else "accept" for number, name in enumerate(names[:30])}
     with served(results) as (address, process):
-        with browser(tmp_path / "one") as page:
+        with browser(tmp_path / "one", 1280, 800) as page:
             page.goto(address)
             assert "token" not in page.url
             shown(page, 0, names[0])
@@ -207,7 +180,7 @@ def test_thirty_decisions_by_keyboard_survive_a_killed_browser(registered, tmp_p
     # The crash cut off a line; it is dropped, the thirty are not.
     with (results / "decisions.jsonl").open("ab") as file:
         file.write(b'{"name": "s0')
-    with served(results) as (address, _), browser(tmp_path / "two") as page:
+    with served(results) as (address, _), browser(tmp_path / "two", 1280, 800) as page:
         page.goto(address)
         assert shown(page, 30, names[30]) == names[30]
         page.keyboard.press("u")

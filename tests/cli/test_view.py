@@ -19,8 +19,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-pytest.importorskip("viser")
-
 from corporeal.cli.errors import CommandError
 from corporeal.cli.main import main
 from corporeal.cli.viewed_track import ViewedTrack
@@ -33,12 +31,6 @@ made = importlib.util.module_from_spec(_SPEC)
 _SPEC.loader.exec_module(made)
 
 COUNT = 6
-CHROMIUM = Path("/usr/bin/chromium")
-FLAGS = [
-    "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking",
-    "--disable-component-update", "--disable-sync", "--disable-gpu", "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-]  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -246,21 +238,6 @@ def served(folder: Path) -> Iterator[tuple[str, subprocess.Popen]]:
         process.stderr.close()
 
 
-@contextlib.contextmanager
-def browser() -> Iterator:
-    """A page of a real Chromium."""
-    sync_api = pytest.importorskip("playwright.sync_api")
-    if not CHROMIUM.exists():
-        pytest.skip(f"{CHROMIUM} is not installed (Debian's package chromium)")
-    with sync_api.sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=str(CHROMIUM), headless=True, args=FLAGS)
-        try:
-            # Small: without a GPU the time of the test is that of drawing.
-            yield chromium.new_page(viewport={"width": 800, "height": 500})
-        finally:
-            chromium.close()
-
-
 def colours_of(page, path: Path) -> int:
     """Different colours left of the panel: one, the background, where nothing is drawn."""
     page.screenshot(path=str(path), clip={"x": 20, "y": 170, "width": 380, "height": 300})
@@ -281,10 +258,11 @@ def shown(page, words: str) -> None:
 
 
 @pytest.mark.slow
-def test_the_page_plays_steps_jumps_and_reads_later_frames(sequence, folder, tmp_path):
+def test_the_page_plays_steps_jumps_and_reads_later_frames(sequence, folder, browser, tmp_path):
     with served(folder.parent) as (address, process):
         assert status_of(address.partition("?")[0] + "do?action=toggle") == 403
-        with browser() as page:
+        # Small: without a GPU the time of the test is that of drawing.
+        with browser(tmp_path / "profile", 800, 500) as page:
             page.goto(address)
             assert "token" not in page.url
             shown(page, "[data-frame='0'][data-scan='0'][data-count='4'][data-playing='0']")

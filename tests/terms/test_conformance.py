@@ -262,6 +262,25 @@ def test_quadratic_terms_are_predicted_exactly(name, rng):
     assert term.at(_moved(fields, direction, 1.0)).cost == pytest.approx(predicted, rel=1e-9)
 
 
+@pytest.mark.parametrize("outside", [False, True])
+def test_vertices_without_weight_are_as_if_they_were_not_there(rng, outside):
+    term, fields = _surface_to_scan(rng, 1e-3, robust_scale=2e-3, tangential=0.1, outside=outside)
+    half = np.arange(len(term.weights)) % 2 == 0
+    shares = [np.where(kept, term.weights, 0.0) for kept in (half, ~half)]
+    parts = [
+        SurfaceToScan("part", "model", term.surface, term.scan, weights, term.options, outside)
+        for weights in shares
+    ]
+    values = [part.at(fields) for part in parts]
+    whole = term.at(fields)
+    assert sum(value.cost for value in values) == pytest.approx(whole.cost, rel=1e-12)
+    slopes = [value.quadratic().gradient["model"] for value in values]
+    assert np.allclose(slopes[0] + slopes[1], whole.quadratic().gradient["model"], rtol=1e-12, atol=0)
+    assert (slopes[0][~half] == 0).all() and (slopes[1][half] == 0).all()
+    bends = [value.quadratic().curvature["model", "model"].dense() for value in (*values, whole)]
+    assert np.allclose(bends[0] + bends[1], bends[2], rtol=1e-12, atol=0)
+
+
 def test_unmatched_points_cost_what_the_robust_function_gives_at_infinity(rng):
     term, fields = _scan_to_surface(rng, 1e-3, robust_scale=2e-3)
     far = ScanToSurface(

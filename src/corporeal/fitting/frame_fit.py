@@ -10,10 +10,7 @@ from jaxtyping import Float
 from corporeal.fitting.frame_data import FramePoints, HandFaces, chosen_points, seen_shares
 from corporeal.fitting.options import AnnealingStep, TrackingOptions
 from corporeal.fitting.pose_terms import pose_terms, tracking_subspace
-from corporeal.geometry.closest_points import ClosestPoints, SurfaceTree
-from corporeal.geometry.clustering import clustered
-from corporeal.geometry.normals import face_normals
-from corporeal.geometry.topology import open_sides
+from corporeal.geometry.closest_points import ClosestPoints
 from corporeal.model.surface_model import SurfaceModel
 from corporeal.scans.scan import Scan
 from corporeal.solve.dogleg import DoglegOptions, Solution, solve, solve_within
@@ -22,7 +19,7 @@ from corporeal.terms.distance import DistanceOptions
 from corporeal.terms.gaussian_prior import GaussianPrior
 from corporeal.terms.model_fields import MODEL, ModelFields
 from corporeal.terms.scan_to_surface import MovingSurface, ScanToSurface
-from corporeal.terms.surface_to_scan import ScanSurface, SurfaceToScan
+from corporeal.terms.surface_to_scan import STICKING_OUT, ScanSurface, SurfaceToScan
 
 # Curvature along the surface as a share of that across it, as in registration.
 _TANGENTIAL = 0.1
@@ -32,8 +29,6 @@ _BACK_SHARE = 0.3
 # solves with a robust scale so narrow, metres.
 _HAND_SEEN, _BACK_WITHIN = 0.15, 0.02
 _SURFACE_POINTS = 12_000
-# In a first frame, what lies so far (metres) from the edge of a hole sticks out of it; later it is missing.
-_STICKING_OUT = 12e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +139,8 @@ class FrameFitter:
             back = share * np.ones(self.model.vertex_count)
             if not start.first:
                 back *= self._of_seen_hands(points, closest, vertices, step)
-            edge = _STICKING_OUT if start.first else np.inf
+            # Later than in the first frame, what sticks out of a hole may be what is missing there.
+            edge = STICKING_OUT if start.first else np.inf
             terms.append(SurfaceToScan("back", MODEL, self.surface, start.back, back, distance, True, edge))
         size = columns.shape.stop - columns.shape.start
         if size:
@@ -161,5 +157,4 @@ def scan_surface(scan: Scan) -> ScanSurface | None:
     """A scan's triangles, fewer where it has many; None for a point cloud."""
     if scan.is_point_cloud:
         return None
-    points, faces = clustered(scan.points, scan.faces, _SURFACE_POINTS)
-    return ScanSurface(SurfaceTree(points, faces), face_normals(points, faces), open_sides(faces))
+    return ScanSurface.of_mesh(scan.points, scan.faces, _SURFACE_POINTS)

@@ -12,16 +12,14 @@ from corporeal.model.surface_model import SurfaceModel
 from corporeal.solve.problem import Term
 from corporeal.solve.subspace import AffineSubspace
 from corporeal.terms.gaussian_prior import GaussianPrior
-from corporeal.terms.hinges import hinge_terms
+from corporeal.terms.hinges import HINGE_SIGMA, hinge_terms
 from corporeal.terms.pose_limits import PoseLimits
 from corporeal.terms.pose_mixture import MixturePrior
-from corporeal.terms.pose_subspace import pose_subspace
+from corporeal.terms.pose_subspace import block_columns, pose_subspace
 
 # A scan says nothing of the eyes, and little of the jaw: single joints of the head stay near zero.
 _LONE_JOINT = 0.03
 _LIMIT = 0.1
-# Sine of the angle by which a forearm or shin may leave the plane in which it bends.
-_HINGE = 0.03
 # lambda_theta_b was found for a spread of one radian about the mean; recorded poses spread by a third of it.
 _BODY_MIXTURE = 0.1
 # A direction in which the recorded poses hardly vary is not forbidden: 3 degrees about it stay cheap.
@@ -58,7 +56,7 @@ def pose_terms(
             terms.append(_body_term(block, where, options.weights.body_pose / annealing))
         if block.limits is not None:
             terms.append(PoseLimits(f"{block.name} limits", where, block.limits, _LIMIT))
-    terms += hinge_terms(model, columns, _HINGE)
+    terms += hinge_terms(model, columns, HINGE_SIGMA)
     if options.velocity and previous is not None:
         sigma = float(1 / np.sqrt(options.weights.velocity))
         terms.append(GaussianPrior.isotropic("velocity", columns.pose, previous.ravel(), sigma))
@@ -83,19 +81,6 @@ def tracking_subspace(
 def is_hand(block: PoseBlock) -> bool:
     """Whether principal components of its poses are known, as they are of hands."""
     return len(block.components) > 0
-
-
-def block_columns(block: PoseBlock, columns: ParameterColumns) -> slice:
-    """Where a block's numbers stand in the parameters.
-
-    Raises:
-        ValueError: its joints do not follow one another.
-    """
-    joints = np.asarray(block.joints)
-    if not np.array_equal(joints, np.arange(joints[0], joints[0] + len(joints))):
-        raise ValueError(f"pose block {block.name!r}: its joints must follow one another to be tracked")
-    start = columns.pose.start + 3 * int(joints[0])
-    return slice(start, start + 3 * len(joints))
 
 
 def _body_term(block: PoseBlock, where: slice, weight: float) -> Term:

@@ -22,9 +22,9 @@ from corporeal.model.landmarks import LandmarkSet
 from corporeal.model.parts import select_part
 from corporeal.model.statistics import PoseBlock
 from corporeal.model.surface_model import SurfaceModel
-from corporeal.registration.priors import block_columns, prior_terms
+from corporeal.registration.priors import prior_terms
 from corporeal.registration.stages import MeasuredLandmarks
-from corporeal.registration.target import scan_surface_of
+from corporeal.registration.target import SURFACE_POINTS
 from corporeal.scans.scan import Scan
 from corporeal.scans.surface_sampling import sample_surface
 from corporeal.solve.dogleg import DoglegOptions, Solution, solve
@@ -32,8 +32,9 @@ from corporeal.solve.problem import Problem, State, Term
 from corporeal.terms.distance import DistanceOptions
 from corporeal.terms.gaussian_prior import GaussianPrior
 from corporeal.terms.model_fields import MODEL, ModelFields, ModelParameters
+from corporeal.terms.pose_subspace import block_columns
 from corporeal.terms.scan_to_surface import MovingSurface, ScanToSurface
-from corporeal.terms.surface_to_scan import ScanSurface, SurfaceToScan
+from corporeal.terms.surface_to_scan import STICKING_OUT, ScanSurface, SurfaceToScan
 
 # How far the elbow, and the turn of the forearm, may be off in the body's fit: metres, radians.
 _ELBOW, _FOREARM = 0.02, 0.25
@@ -46,8 +47,6 @@ _STRAIGHT = 0.4
 # A person's hands are larger or smaller than the body's shape tells, by such a share.
 _HAND_SIZE = 0.05
 _KEPT = 4
-# What lies so far (metres) from the edge of a hole sticks out of it; nearer, it may just not have been seen.
-_STICKING_OUT = 12e-3
 # Weight of the way back: of fists that rest on something it is the less certain of the two.
 _BACK = 0.3
 # The means of known kinds of poses are tried as they are and bent so much more, to this share of the limits.
@@ -80,7 +79,6 @@ class HandTried:
         name: of its pose block.
         cost: of the best descent, in half squared standard deviations; ``cost_before`` of that from the pose
             that it had.
-        scan_cost: the share of the scan's distances in ``cost`` per observation.
         vertices: (n,) of the whole model, on the arm.
         positions: (n, 3) where the best descent put them, metres.
     """
@@ -88,7 +86,6 @@ class HandTried:
     name: str
     cost: float
     cost_before: float
-    scan_cost: float
     vertices: Int[np.ndarray, " n"]
     positions: Float[np.ndarray, "n 3"]
 
@@ -122,9 +119,7 @@ def hands_tried(
         fit = _ArmFit(arm, parameters.shape, near, _pose_of_arm(arm, posed, parameters.pose))
         vector, cost, before = fit.best()
         pose[arm.joints] = _local_pose(model, arm, posed, vector)
-        tried.append(
-            HandTried(block.name, cost, before, fit.scan_cost(vector), arm.vertices, fit.vertices(vector))
-        )
+        tried.append(HandTried(block.name, cost, before, arm.vertices, fit.vertices(vector)))
     return ModelParameters(parameters.translation, pose, parameters.shape), tried
 
 
@@ -235,7 +230,7 @@ class _ArmFit:
         self._fields = ModelFields(self._model, shape_count=1)
         self._begun = ModelParameters(begun.translation - rest[0], begun.pose, np.zeros(1)).vector()
         self._points, self._normals = sample_surface(scan, _POINTS)
-        self._scan: ScanSurface = scan_surface_of(scan)
+        self._scan: ScanSurface = ScanSurface.of_mesh(scan.points, scan.faces, SURFACE_POINTS)
         self._block = next(block for block in part.pose_blocks if len(block.components))
         self._where = block_columns(self._block, self._fields.columns)
         self._wrist = slice(self._fields.columns.pose.start + 3, self._fields.columns.pose.start + 6)
@@ -261,11 +256,6 @@ class _ArmFit:
     def vertices(self, vector: Float[np.ndarray, " Q"]) -> Float[np.ndarray, "n 3"]:
         """The posed arm, metres."""
         return self._fields.evaluated(vector).vertices
-
-    def scan_cost(self, vector: Float[np.ndarray, " Q"]) -> float:
-        """Half squared deviations of the scan from the arm, per observation."""
-        fields = self._fields.derive(vector)
-        return self._terms(_NARROW)[0].at(fields).cost / _OBSERVATIONS
 
     def _known_fingers(self) -> list[Float[np.ndarray, " n"]]:
         """The flat hand, the middle of every known kind of pose, and the same bent more.
@@ -309,7 +299,7 @@ class _ArmFit:
         root = slice(columns.pose.start, columns.pose.start + 3)
         return [
             ScanToSurface("scan", MODEL, arm.surface, self._points, weights, self._normals, distance),
-            SurfaceToScan("back", MODEL, arm.surface, self._scan, back, distance, True, _STICKING_OUT),
+            SurfaceToScan("back", MODEL, arm.surface, self._scan, back, distance, True, STICKING_OUT),
             GaussianPrior.isotropic("elbow", columns.translation, self._begun[columns.translation], _ELBOW),
             GaussianPrior.isotropic("forearm", root, self._begun[root], _FOREARM),
             *prior_terms(

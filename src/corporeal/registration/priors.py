@@ -10,16 +10,15 @@ from corporeal.model.surface_model import SurfaceModel
 from corporeal.registration.gaussian_pose import GaussianPose
 from corporeal.solve.problem import Term
 from corporeal.terms.gaussian_prior import GaussianPrior
-from corporeal.terms.hinges import hinge_terms
+from corporeal.terms.hinges import HINGE_SIGMA, hinge_terms
 from corporeal.terms.pose_limits import PoseLimits
 from corporeal.terms.pose_mixture import MixturePrior
+from corporeal.terms.pose_subspace import block_columns
 
 # A direction in which the recorded poses hardly vary is not forbidden: 3 degrees about it stay cheap.
 _FLOOR = np.deg2rad(3.0)
 # Where nothing is known of a joint, half a radian is one standard deviation.
 _UNKNOWN = 0.5
-# Sine of the angle by which a forearm or shin may leave the plane in which it bends.
-_HINGE = 0.03
 
 
 def prior_terms(
@@ -43,7 +42,7 @@ def prior_terms(
             terms.append(_given_prior(block, where, pose_prior.for_side(model.side), pose_prior_scale))
         if block.limits is not None:
             terms.append(PoseLimits(f"{block.name} limits", where, block.limits, limit_sigma))
-    return terms + hinge_terms(model, columns, _HINGE)
+    return terms + hinge_terms(model, columns, HINGE_SIGMA)
 
 
 def _pose_prior(block: PoseBlock, where: slice, scale: float) -> Term:
@@ -66,16 +65,3 @@ def _given_prior(block: PoseBlock, where: slice, prior: GaussianPose, scale: flo
         raise ValueError(f"pose_prior: {len(prior.mean)} numbers, too few for pose block {block.name!r}")
     covariance = prior.covariance[np.ix_(own, own)] + _FLOOR**2 * np.eye(len(own))
     return GaussianPrior(f"{block.name} prior", where, prior.mean[own], np.linalg.inv(covariance) / scale**2)
-
-
-def block_columns(block: PoseBlock, columns: ParameterColumns) -> slice:
-    """Where a block's numbers stand in the parameters.
-
-    Raises:
-        ValueError: its joints do not follow one another.
-    """
-    joints = np.asarray(block.joints)
-    if not np.array_equal(joints, np.arange(joints[0], joints[0] + len(joints))):
-        raise ValueError(f"pose block {block.name!r}: its joints must follow one another to be solved for")
-    start = columns.pose.start + 3 * int(joints[0])
-    return slice(start, start + 3 * len(joints))

@@ -339,17 +339,20 @@ def _measured(
 
 
 class _Clock:
-    """Wall time by stage."""
+    """Wall time by stage, without that of the stages within it."""
 
     def __init__(self, on_step: OnStep) -> None:
         self.seconds: dict[str, float] = {}
         self._on_step = on_step
+        self._within = 0.0
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         self._on_step(name)
-        begun = time.perf_counter()
+        begun, outer, self._within = time.perf_counter(), self._within, 0.0
         try:
             yield
         finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - begun
+            whole = time.perf_counter() - begun
+            self.seconds[name] = self.seconds.get(name, 0.0) + whole - self._within
+            self._within = outer + whole

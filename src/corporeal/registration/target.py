@@ -9,10 +9,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float
 
-from corporeal.geometry.closest_points import SurfaceTree
-from corporeal.geometry.clustering import clustered
-from corporeal.geometry.normals import face_areas, face_normals
-from corporeal.geometry.topology import open_sides
+from corporeal.geometry.normals import face_areas
 from corporeal.scans.flat_patches import flat_patch
 from corporeal.scans.scan import Scan
 from corporeal.scans.surface_sampling import sample_surface
@@ -40,7 +37,7 @@ class SampledPoints:
 
 # The surface that the model's vertices are pulled to. The model has 3,000 of them and the pull is robust over
 # 5 mm and more: beyond this many points a scan's detail costs time only (0.2 s of a scan with 50,000).
-_SURFACE_POINTS = 12_000
+SURFACE_POINTS = 12_000
 
 
 class Target:
@@ -79,10 +76,4 @@ class Target:
         scan = self.measured
         if scan.is_point_cloud:
             return None
-        return scan_surface_of(scan)
-
-
-def scan_surface_of(scan: Scan) -> ScanSurface:
-    """A mesh's triangles, fewer where it has many."""
-    points, faces = clustered(scan.points, scan.faces, _SURFACE_POINTS)
-    return ScanSurface(SurfaceTree(points, faces), face_normals(points, faces), open_sides(faces))
+        return ScanSurface.of_mesh(scan.points, scan.faces, SURFACE_POINTS)

@@ -21,6 +21,8 @@ from corporeal.terms.gaussian_prior import ParameterQuadratic
 # The rest axes of the hinges of SMPL's family in its T-pose: an elbow bends forward, a knee backward.
 _AXES = {"elbow": (0.0, 1.0, 0.0), "knee": (1.0, 0.0, 0.0)}
 _SIDES = ("left", "right")
+# Sine of the angle by which a forearm or shin may leave the plane in which it bends.
+HINGE_SIGMA = 0.03
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,12 +1,26 @@
-"""Poses of the first principal components, as a subspace of a model's parameters."""
+"""Pose blocks in a model's parameters, and their first principal components as a subspace of these."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from corporeal.model.jacobian import ParameterColumns
+from corporeal.model.statistics import PoseBlock
 from corporeal.model.surface_model import SurfaceModel
 from corporeal.solve.subspace import AffineSubspace
+
+
+def block_columns(block: PoseBlock, columns: ParameterColumns) -> slice:
+    """Where a block's numbers stand in the parameters.
+
+    Raises:
+        ValueError: its joints do not follow one another.
+    """
+    joints = np.asarray(block.joints)
+    if not np.array_equal(joints, np.arange(joints[0], joints[0] + len(joints))):
+        raise ValueError(f"pose block {block.name!r}: its joints must follow one another to be solved for")
+    start = columns.pose.start + 3 * int(joints[0])
+    return slice(start, start + 3 * len(joints))
 
 
 def pose_subspace(model: SurfaceModel, columns: ParameterColumns, count: int) -> AffineSubspace:

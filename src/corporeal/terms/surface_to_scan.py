@@ -7,16 +7,22 @@ holes: vertices whose closest scan point lies on the edge of a hole are therefor
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from corporeal.geometry.closest_points import SurfaceTree
-from corporeal.geometry.normals import vertex_normals
+from corporeal.geometry.clustering import clustered
+from corporeal.geometry.normals import face_normals, vertex_normals
+from corporeal.geometry.topology import open_sides
 from corporeal.solve.curvature import Curvature
 from corporeal.solve.problem import Fields, Quadratic
 from corporeal.terms.distance import DistanceOptions, WeightedDistances
 from corporeal.terms.scan_to_surface import MovingSurface
+
+# What lies so far (metres) from the edge of a hole sticks out of it; nearer, it may just not have been seen.
+STICKING_OUT = 12e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +38,14 @@ class ScanSurface:
     tree: SurfaceTree
     normals: Float[np.ndarray, "M 3"]
     boundary_sides: Bool[np.ndarray, "M 3"]
+
+    @classmethod
+    def of_mesh(
+        cls, points: Float[np.ndarray, "N 3"], faces: Int[np.ndarray, "_ 3"], most: int
+    ) -> ScanSurface:
+        """A mesh's triangles, with at most about ``most`` points where it has more."""
+        points, faces = clustered(points, faces, most)
+        return cls(SurfaceTree(points, faces), face_normals(points, faces), open_sides(faces))
 
 
 @dataclass(eq=False)
@@ -63,34 +77,40 @@ class SurfaceToScan:
     sticking_out: float = np.inf
     _last_faces: np.ndarray | None = None
 
+    @cached_property
+    def _asked(self) -> Int[np.ndarray, " n"]:
+        """Vertices that weigh anything: only for these the scan is searched."""
+        return np.flatnonzero(self.weights)
+
     def at(self, fields: Fields) -> SurfaceToScanValue:
         """Find closest scan points; the faces found start the next search."""
-        vertices = fields[self.field]
+        asked, vertices = self._asked, fields[self.field][self._asked]
         closest = self.scan.tree.closest(vertices, self._last_faces)
         self._last_faces = closest.faces
         normals = self.scan.normals[closest.faces]
         on_edge = ((closest.barycentric < 1e-9) & self.scan.boundary_sides[closest.faces]).any(axis=1)
         offsets = vertices - closest.points
-        weights = self.weights
+        weights = self.weights[asked]
         if self.outside:
             beyond = np.einsum("na,na->n", offsets, normals) > 0
             far = np.einsum("na,na->n", offsets, offsets) > self.sticking_out**2
             matched = beyond & (~on_edge | far)
             weights = np.where(matched, weights, 0.0)
         else:
-            own = vertex_normals(vertices, self.surface.faces)
+            own = vertex_normals(fields[self.field], self.surface.faces)[asked]
             matched = ~on_edge & (np.einsum("na,na->n", own, normals) >= self.options.minimum_cosine)
         distances = WeightedDistances.of(offsets, weights, matched, self.options)
-        return SurfaceToScanValue(self, distances, normals)
+        return SurfaceToScanValue(self, asked, distances, normals)
 
 
 @dataclass(frozen=True, eq=False)
 class SurfaceToScanValue:
-    """The term at one surface."""
+    """The term at one surface; distances and normals are of the vertices that were asked."""
 
     term: SurfaceToScan
+    asked: Int[np.ndarray, " n"]
     distances: WeightedDistances
-    scan_normals: Float[np.ndarray, "V 3"]
+    scan_normals: Float[np.ndarray, "n 3"]
 
     @property
     def cost(self) -> float:
@@ -100,10 +120,16 @@ class SurfaceToScanValue:
     def quadratic(self) -> Quadratic:
         """Gradient of the distance itself; curvature with the closest points held fixed."""
         field, pattern = self.term.field, self.term.surface.pattern
-        gradient = self.distances.weights[:, None] * self.distances.offsets
+        count = len(self.term.weights)
+        gradient = np.zeros((count, 3))
+        gradient[self.asked] = self.distances.weights[:, None] * self.distances.offsets
         curvature: Curvature
         if self.distances.is_per_axis:
-            curvature = pattern.diagonal(self.distances.weights)
+            diagonal = np.zeros(count)
+            diagonal[self.asked] = self.distances.weights
+            curvature = pattern.diagonal(diagonal)
         else:
-            curvature = pattern.diagonal_blocks(self.distances.metric(self.scan_normals))
+            blocks = np.zeros((count, 3, 3))
+            blocks[self.asked] = self.distances.metric(self.scan_normals)
+            curvature = pattern.diagonal_blocks(blocks)
         return Quadratic({field: gradient}, {(field, field): curvature})
