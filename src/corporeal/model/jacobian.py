@@ -11,10 +11,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from corporeal.model import jacobian_kernels as kernels
 from corporeal.model.surface_model import SurfaceModel
+from corporeal.model.vertex_groups import VertexGroup
 
 # Multiply-adds below which a second thread costs more than it saves: a thread pool that sleeps while it waits
 # (OMP_WAIT_POLICY) takes about 80 us to wake.
@@ -108,6 +109,31 @@ class JointState(NamedTuple):
         return joints, T_world_joint
 
 
+@dataclass(frozen=True, eq=False)
+class GroupedLinearised:
+    """The derivatives of one posed surface, without most of their zeros.
+
+    Attributes:
+        joint_jacobian: (K, 3, Q).
+        columns: which columns belong to which parameters.
+        group_columns: per group of ``model.vertex_groups`` the (a,) columns that its vertices depend on.
+        group_jacobians: per group (m, 3, a), for the vertices of ``around``.
+    """
+
+    joint_jacobian: Float[np.ndarray, "K 3 Q"]
+    columns: ParameterColumns
+    group_columns: tuple[Int[np.ndarray, " _"], ...]
+    group_jacobians: tuple[Float[np.ndarray, "_ 3 _"], ...]
+
+
+class Chosen(NamedTuple):
+    """Whose derivatives are wanted, by what, and where they go."""
+
+    vertices: Int[np.ndarray, " m"]
+    layout: Int[np.ndarray, " K"]  # first column of every joint; of no account for those that move none
+    directions: Int[np.ndarray, " n"]  # of shape and expression; theirs are the last columns
+
+
 class JointSlopes(NamedTuple):
     """The part of the Jacobian that depends on joints alone."""
 
@@ -160,19 +186,74 @@ def linearise(
     Raises:
         ValueError: a wrong number of joints, or more coefficients than directions.
     """
-    arrays = model.kernel_arrays
-    coefficients, chosen = _coefficients(model, shape, expression)
-    joints = _posed_joints(model, coefficients, pose, correctives)
+    terms = _Linearisation(model, shape, pose, expression, correctives)
     translation = np.ascontiguousarray(translation, dtype=np.float64)
-    V, K, n = model.vertex_count, model.joint_count, len(chosen)
-    columns = ParameterColumns.of_counts(K, len(shape), n - len(shape))
-    slopes = JointSlopes(np.empty((K, 3, 3)), np.empty((K, 9, 3)), np.empty((K, 3, n)))
-    joint_jacobian, jacobian = np.zeros((K, 3, columns.count)), np.empty((V, 3, columns.count))
-    kernels.joint_slopes(arrays, joints, arrays.joint_directions[:, :, chosen], slopes, joint_jacobian)
-    work = 3 * V * (columns.count + 3 * n + 4 * len(joints.feature))
-    kernels.linearise_vertices(_chunks(work), arrays, coefficients, chosen, joints, slopes, jacobian)
-    vertices = _posed_vertices(model, coefficients, joints, translation)
-    return Linearised(vertices, *joints.frames(translation), jacobian, joint_jacobian, columns)
+    V, K = model.vertex_count, model.joint_count
+    jacobian = terms.of_vertices(np.arange(V), 3 + 3 * np.arange(K), terms.columns.count)
+    vertices = _posed_vertices(model, terms.coefficients, terms.joints, translation)
+    frames = terms.joints.frames(translation)
+    return Linearised(vertices, *frames, jacobian, terms.joint_jacobian, terms.columns)
+
+
+def linearise_groups(
+    model: SurfaceModel,
+    shape: Float[np.ndarray, " s"],
+    pose: Float[np.ndarray, "K 3"],
+    expression: Float[np.ndarray, " e"] | None = None,
+    *,
+    correctives: bool = True,
+) -> GroupedLinearised:
+    """The same derivatives by groups of vertices, each with the columns that it depends on.
+
+    Raises:
+        ValueError: a wrong number of joints, or more coefficients than directions.
+    """
+    terms = _Linearisation(model, shape, pose, expression, correctives)
+    columns, jacobians = [], []
+    for group in model.vertex_groups:
+        own = _columns_of(group, terms.columns)
+        layout = np.zeros(model.joint_count, dtype=np.int64)
+        layout[group.joints] = 3 + 3 * np.arange(len(group.joints))
+        columns.append(own)
+        jacobians.append(terms.of_vertices(group.around, layout, len(own)))
+    return GroupedLinearised(terms.joint_jacobian, terms.columns, tuple(columns), tuple(jacobians))
+
+
+class _Linearisation:
+    """Joints and their slopes at one pose: what the derivatives of any vertices follow from."""
+
+    def __init__(
+        self, model: SurfaceModel, shape: np.ndarray, pose: np.ndarray, expression: np.ndarray | None,
+        correctives: bool,
+    ) -> None:  # fmt: skip
+        self._arrays = arrays = model.kernel_arrays
+        self.coefficients, self._chosen = _coefficients(model, shape, expression)
+        self.joints = _posed_joints(model, self.coefficients, pose, correctives)
+        K, n = model.joint_count, len(self._chosen)
+        self.columns = ParameterColumns.of_counts(K, len(shape), n - len(shape))
+        self._slopes = JointSlopes(np.empty((K, 3, 3)), np.empty((K, 9, 3)), np.empty((K, 3, n)))
+        self.joint_jacobian = np.zeros((K, 3, self.columns.count))
+        directions = arrays.joint_directions[:, :, self._chosen]
+        kernels.joint_slopes(arrays, self.joints, directions, self._slopes, self.joint_jacobian)
+
+    def of_vertices(
+        self, vertices: Int[np.ndarray, " m"], layout: Int[np.ndarray, " K"], width: int
+    ) -> Float[np.ndarray, "m 3 a"]:
+        """Derivatives of some vertices, ``width`` columns each."""
+        jacobian = np.empty((len(vertices), 3, width))
+        chosen = Chosen(vertices, layout, self._chosen)
+        corrected = len(self._arrays.correctives) // (len(self._arrays.corrected_starts) - 1)
+        work = len(jacobian) * (3 * width + 9 * len(self._chosen) + 4 * corrected)
+        kernels.linearise_vertices(
+            _chunks(work), self._arrays, chosen, self.coefficients, self.joints, self._slopes, jacobian
+        )  # fmt: skip
+        return jacobian
+
+
+def _columns_of(group: VertexGroup, columns: ParameterColumns) -> Int[np.ndarray, " a"]:
+    """Translation, the group's joints, shape and expression."""
+    joints = columns.pose.start + 3 * np.repeat(group.joints, 3) + np.tile(np.arange(3), len(group.joints))
+    return np.concatenate([np.arange(3), joints, np.arange(columns.shape.start, columns.count)])
 
 
 def _chunks(work: int) -> int:
@@ -183,8 +264,9 @@ def _posed_vertices(
     model: SurfaceModel, coefficients: np.ndarray, joints: JointState, translation: np.ndarray
 ) -> np.ndarray:
     vertices = np.empty((model.vertex_count, 3))
-    work = vertices.size * (len(coefficients) + len(joints.feature) + 40)
-    kernels.pose_vertices(_chunks(work), model.kernel_arrays, coefficients, joints, translation, vertices)
+    arrays = model.kernel_arrays
+    work = vertices.size * (len(coefficients) + 40) + len(arrays.correctives)
+    kernels.pose_vertices(_chunks(work), arrays, coefficients, joints, translation, vertices)
     return vertices
 
 

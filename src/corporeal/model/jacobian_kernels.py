@@ -79,17 +79,31 @@ def chain_joints(arrays, coefficients, pose, joints):
 
 
 @njit(cache=True, fastmath=True)
-def rest_coordinate(row, arrays, coefficients, feature):
-    """One coordinate of one vertex before skinning: a plain dot product, which the compiler vectorises.
+def rest_point(i, arrays, coefficients, feature, gathered, rest):
+    """One vertex before skinning.
 
-    Skipping the joints without correctives here was slower: loops of nine do not fill the vector units.
+    The features of the joints that correct it are gathered first (``gathered`` has room for all; none are
+    gathered where all correct it), so that a coordinate is one dot product, which the compiler vectorises:
+    loops of nine do not fill the vector units.
     """
-    total = arrays.template[row]
-    for s in range(len(coefficients)):
-        total += arrays.directions[row, s] * coefficients[s]
-    for e in range(len(feature)):
-        total += arrays.pose_directions[row, e] * feature[e]
-    return total
+    count, features = 0, feature
+    if len(feature) > 0:
+        first, last = arrays.corrected_starts[i], arrays.corrected_starts[i + 1]
+        count = 9 * (last - first)
+        if count < len(feature):
+            features = gathered
+            for n in range(first, last):
+                m = arrays.corrected_joints[n]
+                for e in range(9):
+                    gathered[9 * (n - first) + e] = feature[9 * (m - 1) + e]
+    for a in range(3):
+        total = arrays.template[3 * i + a]
+        for s in range(len(coefficients)):
+            total += arrays.directions[3 * i + a, s] * coefficients[s]
+        begun = 27 * arrays.corrected_starts[i] + a * count
+        for e in range(count):
+            total += arrays.correctives[begun + e] * features[e]
+        rest[a] = total
 
 
 @njit(cache=True, fastmath=True)
@@ -106,11 +120,10 @@ def blend_motion(i, arrays, motion, blended):
 @njit(cache=True, fastmath=True)
 def pose_range(first, last, arrays, coefficients, joints, translation, vertices):
     """Blend shapes and linear blend skinning of the vertices ``first`` to ``last``."""
-    blended = np.empty(12)
+    blended, rest, gathered = np.empty(12), np.empty(3), np.empty(len(joints.feature))
     for i in range(first, last):
-        x = rest_coordinate(3 * i, arrays, coefficients, joints.feature)
-        y = rest_coordinate(3 * i + 1, arrays, coefficients, joints.feature)
-        z = rest_coordinate(3 * i + 2, arrays, coefficients, joints.feature)
+        rest_point(i, arrays, coefficients, joints.feature, gathered, rest)
+        x, y, z = rest[0], rest[1], rest[2]
         blend_motion(i, arrays, joints.motion, blended)
         for a in range(3):
             moved = blended[3 * a] * x + blended[3 * a + 1] * y + blended[3 * a + 2] * z + blended[9 + a]
@@ -190,8 +203,10 @@ def carry(i, arrays, motion, rest, carried):
 
 
 @njit(cache=True, fastmath=True)
-def rotation_columns(i, arrays, placed, spin, carried, jacobian):
+def rotation_columns(i, arrays, layout, placed, spin, carried, jacobian):
     """Derivative by every joint's rotation: cross product with what its descendants carry of the vertex.
+
+    ``jacobian`` (3, Q) is that of the vertex, ``layout[m]`` the first column of joint m.
 
     Children come before parents, so that each joint's share is complete when it is used; ``carried`` is left
     zero for the next vertex.
@@ -202,12 +217,12 @@ def rotation_columns(i, arrays, placed, spin, carried, jacobian):
         x = carried[m, 0] - weight * placed[m, 0]
         y = carried[m, 1] - weight * placed[m, 1]
         z = carried[m, 2] - weight * placed[m, 2]
-        column = 3 + 3 * m
+        column = layout[m]
         for b in range(3):
             u, v, w = spin[m, 0, b], spin[m, 1, b], spin[m, 2, b]
-            jacobian[i, 0, column + b] = v * z - w * y
-            jacobian[i, 1, column + b] = w * x - u * z
-            jacobian[i, 2, column + b] = u * y - v * x
+            jacobian[0, column + b] = v * z - w * y
+            jacobian[1, column + b] = w * x - u * z
+            jacobian[2, column + b] = u * y - v * x
         p = arrays.parents[m]
         for a in range(4):
             if p >= 0:
@@ -216,30 +231,32 @@ def rotation_columns(i, arrays, placed, spin, carried, jacobian):
 
 
 @njit(cache=True, fastmath=True)
-def corrective_columns(i, arrays, turning, blended, jacobian):
+def corrective_columns(i, arrays, layout, turning, blended, jacobian):
     """The pose correctives' own derivative, added to the columns of their joints."""
-    for n in range(arrays.corrected_starts[i], arrays.corrected_starts[i + 1]):
+    starts = arrays.corrected_starts
+    length = 9 * (starts[i + 1] - starts[i])
+    for n in range(starts[i], starts[i + 1]):
         m = arrays.corrected_joints[n]
-        first = 9 * (m - 1)
+        first = 27 * starts[i] + 9 * (n - starts[i])
         for b in range(3):
             x, y, z = 0.0, 0.0, 0.0
             for e in range(9):
-                x += arrays.pose_directions[3 * i, first + e] * turning[m, e, b]
-                y += arrays.pose_directions[3 * i + 1, first + e] * turning[m, e, b]
-                z += arrays.pose_directions[3 * i + 2, first + e] * turning[m, e, b]
+                x += arrays.correctives[first + e] * turning[m, e, b]
+                y += arrays.correctives[first + length + e] * turning[m, e, b]
+                z += arrays.correctives[first + 2 * length + e] * turning[m, e, b]
             for a in range(3):
                 moved = blended[3 * a] * x + blended[3 * a + 1] * y + blended[3 * a + 2] * z
-                jacobian[i, a, 3 + 3 * m + b] += moved
+                jacobian[a, layout[m] + b] += moved
 
 
 @njit(cache=True, fastmath=True)
 def shape_columns(i, arrays, columns, shift, blended, jacobian):
     """Derivative by shape and expression: directions turned, plus what they move the joints by."""
-    out = jacobian.shape[2] - len(columns)
+    out = jacobian.shape[1] - len(columns)
     for a in range(3):
         for s in range(len(columns)):
             c = columns[s]
-            jacobian[i, a, out + s] = (
+            jacobian[a, out + s] = (
                 blended[3 * a] * arrays.directions[3 * i, c]
                 + blended[3 * a + 1] * arrays.directions[3 * i + 1, c]
                 + blended[3 * a + 2] * arrays.directions[3 * i + 2, c]
@@ -248,43 +265,40 @@ def shape_columns(i, arrays, columns, shift, blended, jacobian):
             k = arrays.weight_joints[n]
             w = arrays.weight_values[n]
             for s in range(len(columns)):
-                jacobian[i, a, out + s] += w * shift[k, a, s]
+                jacobian[a, out + s] += w * shift[k, a, s]
 
 
 @njit(cache=True, fastmath=True)
-def linearise_range(first, last, arrays, coefficients, columns, joints, slopes, jacobian):
-    """Jacobian of the vertices ``first`` to ``last``."""
+def linearise_range(first, last, arrays, chosen, coefficients, joints, slopes, jacobian):
+    """Jacobian of the entries ``first`` to ``last`` of the vertices that ``chosen`` names.
+
+    ``chosen`` is a ``Chosen``: the vertices, the first column of every joint, and the directions.
+    """
     K = len(arrays.parents)
     carried, rest, blended = np.zeros((K, 4)), np.empty(3), np.empty(12)
-    for i in range(first, last):
+    gathered = np.empty(len(joints.feature))
+    for entry in range(first, last):
+        i, own = chosen.vertices[entry], jacobian[entry]
+        rest_point(i, arrays, coefficients, joints.feature, gathered, rest)
         for a in range(3):
-            rest[a] = rest_coordinate(3 * i + a, arrays, coefficients, joints.feature)
-            for q in range(3 + 3 * K):
-                jacobian[i, a, q] = 0.0
-            jacobian[i, a, a] = 1.0
+            for q in range(own.shape[1]):
+                own[a, q] = 0.0
+            own[a, a] = 1.0
         blend_motion(i, arrays, joints.motion, blended)
         carry(i, arrays, joints.motion, rest, carried)
-        rotation_columns(i, arrays, joints.placed, slopes.spin, carried, jacobian)
+        rotation_columns(i, arrays, chosen.layout, joints.placed, slopes.spin, carried, own)
         if len(joints.feature) > 0:
-            corrective_columns(i, arrays, slopes.turning, blended, jacobian)
-        shape_columns(i, arrays, columns, slopes.shift, blended, jacobian)
+            corrective_columns(i, arrays, chosen.layout, slopes.turning, blended, own)
+        shape_columns(i, arrays, chosen.directions, slopes.shift, blended, own)
 
 
 @njit(cache=True, parallel=True)
-def linearise_vertices(chunks, arrays, coefficients, columns, joints, slopes, jacobian):
-    """All vertices, on this thread if there is one chunk."""
+def linearise_vertices(chunks, arrays, chosen, coefficients, joints, slopes, jacobian):
+    """All chosen vertices, on this thread if there is one chunk."""
     V = len(jacobian)
     if chunks == 1:
-        linearise_range(0, V, arrays, coefficients, columns, joints, slopes, jacobian)
+        linearise_range(0, V, arrays, chosen, coefficients, joints, slopes, jacobian)
     else:
         for c in prange(chunks):
-            linearise_range(
-                c * V // chunks,
-                (c + 1) * V // chunks,
-                arrays,
-                coefficients,
-                columns,
-                joints,
-                slopes,
-                jacobian,
-            )
+            first, last = c * V // chunks, (c + 1) * V // chunks
+            linearise_range(first, last, arrays, chosen, coefficients, joints, slopes, jacobian)

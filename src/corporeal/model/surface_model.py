@@ -19,6 +19,7 @@ from corporeal.model.kernel_arrays import KernelArrays, kernel_arrays
 from corporeal.model.landmarks import LandmarkSet
 from corporeal.model.pose import FullPose, Pose
 from corporeal.model.statistics import PoseBlock
+from corporeal.model.vertex_groups import VertexGroup, vertex_groups
 
 Side = Literal["left", "right"]
 
@@ -140,6 +141,11 @@ class SurfaceModel:
             skinning_weights=self.skinning_weights,
             parents=self.parents,
         )
+
+    @cached_property
+    def vertex_groups(self) -> tuple[VertexGroup, ...]:
+        """Which vertices depend on which joints, in a few groups, made once and kept."""
+        return vertex_groups(self.kernel_arrays, self.faces)
 
     def tensors(self, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu") -> ModelTensors:
         """The model's arrays as tensors of one dtype on one device, made once and kept."""

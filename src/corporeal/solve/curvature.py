@@ -7,9 +7,9 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 import scipy.sparse as sp
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from corporeal.solve.curvature_kernels import blocks_times, per_axis_times
+from corporeal.solve.curvature_kernels import blocks_times, per_axis_times, rows_of_blocks, rows_per_axis
 
 
 @runtime_checkable
@@ -30,6 +30,21 @@ class Curvature(Protocol):
 
     def dense(self) -> np.ndarray:
         """As a full matrix."""
+        ...
+
+
+@runtime_checkable
+class SparseCurvature(Protocol):
+    """A curvature that couples a point to few others, so that some of its rows can be had alone."""
+
+    def rows_times(
+        self, points: Int[np.ndarray, " r"], place: Int[np.ndarray, " n"], slopes: Float[np.ndarray, "m 3 a"]
+    ) -> Float[np.ndarray, "r3 a"]:
+        """The rows of ``points`` applied to slopes; those of point j stand at ``place[j]``, -1 for nowhere.
+
+        Raises:
+            ValueError: the slopes of a point that these are coupled to stand nowhere.
+        """
         ...
 
 
@@ -70,6 +85,14 @@ class PerAxisCurvature:
         """(matrix x I3).T @ columns, for columns of length 3 n."""
         return _per_axis(self.matrix.T.tocsr(), columns)
 
+    def rows_times(
+        self, points: Int[np.ndarray, " r"], place: Int[np.ndarray, " n"], slopes: Float[np.ndarray, "m 3 a"]
+    ) -> Float[np.ndarray, "r3 a"]:
+        """See ``SparseCurvature``."""
+        matrix = self.matrix
+        product, whole = rows_per_axis(matrix.indptr, matrix.indices, matrix.data, points, place, slopes)
+        return _if_whole(product, whole)
+
     def plus(self, other: Curvature) -> Curvature:
         """Sum; with 3 x 3 blocks the result has 3 x 3 blocks."""
         if isinstance(other, PerAxisCurvature):
@@ -104,6 +127,13 @@ class BlockCurvature:
         """The same as ``times``: the matrix is symmetric."""
         return self.times(columns)
 
+    def rows_times(
+        self, points: Int[np.ndarray, " r"], place: Int[np.ndarray, " n"], slopes: Float[np.ndarray, "m 3 a"]
+    ) -> Float[np.ndarray, "r3 a"]:
+        """See ``SparseCurvature``."""
+        product, whole = rows_of_blocks(self.indptr, self.indices, self.blocks, points, place, slopes)
+        return _if_whole(product, whole)
+
     def plus(self, other: Curvature) -> BlockCurvature:
         """Sum with blocks, or with a per-axis matrix."""
         mine = self._sparse()
@@ -122,6 +152,12 @@ class BlockCurvature:
     def _sparse(self) -> sp.bsr_matrix:
         size = 3 * (len(self.indptr) - 1)
         return sp.bsr_matrix((self.blocks, self.indices, self.indptr), shape=(size, size))
+
+
+def _if_whole(product: np.ndarray, whole: bool) -> np.ndarray:
+    if not whole:
+        raise ValueError("curvature: couples a point of a group to one whose slopes the group does not have")
+    return product.reshape(-1, product.shape[2])
 
 
 def _per_axis(matrix: sp.csr_matrix, columns: np.ndarray) -> np.ndarray:

@@ -28,3 +28,42 @@ def blocks_times(indptr, indices, blocks, columns):
                 for c in range(columns.shape[1]):
                     product[3 * i + a, c] += x * columns[j, c] + y * columns[j + 1, c] + z * columns[j + 2, c]
     return product
+
+
+@njit(cache=True, parallel=True)
+def rows_of_blocks(indptr, indices, blocks, points, place, slopes):
+    """Some rows of ``blocks_times``, and whether all that they need was there; see ``SparseCurvature``."""
+    width = slopes.shape[2]
+    product = np.zeros((len(points), 3, width))
+    missing = np.zeros(len(points), dtype=np.bool_)
+    for r in prange(len(points)):
+        i = points[r]
+        for k in range(indptr[i], indptr[i + 1]):
+            j = place[indices[k]]
+            if j < 0:
+                missing[r] = True
+                continue
+            for a in range(3):
+                x, y, z = blocks[k, a, 0], blocks[k, a, 1], blocks[k, a, 2]
+                for c in range(width):
+                    product[r, a, c] += x * slopes[j, 0, c] + y * slopes[j, 1, c] + z * slopes[j, 2, c]
+    return product, not missing.any()
+
+
+@njit(cache=True, parallel=True)
+def rows_per_axis(indptr, indices, data, points, place, slopes):
+    """Some rows of ``per_axis_times``, and whether all that they need was there."""
+    width = slopes.shape[2]
+    product = np.zeros((len(points), 3, width))
+    missing = np.zeros(len(points), dtype=np.bool_)
+    for r in prange(len(points)):
+        i = points[r]
+        for k in range(indptr[i], indptr[i + 1]):
+            j = place[indices[k]]
+            if j < 0:
+                missing[r] = True
+                continue
+            for a in range(3):
+                for c in range(width):
+                    product[r, a, c] += data[k] * slopes[j, a, c]
+    return product, not missing.any()

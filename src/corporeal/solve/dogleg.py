@@ -11,6 +11,7 @@ from enum import Enum
 
 import numpy as np
 
+from corporeal.solve.blas_threads import single_threaded_blas
 from corporeal.solve.problem import Evaluation, Problem, State
 from corporeal.solve.subspace import AffineSubspace, RestrictedProblem
 from corporeal.solve.systems import NormalSystem, SingularSystemError
@@ -71,7 +72,16 @@ def solve(
     on_step: Callable[[int, Evaluation], None] | None = None,
 ) -> Solution:
     """Minimise a problem from a start; never raises for bad numbers, the outcome says what happened."""
-    options = options or DoglegOptions()
+    with single_threaded_blas():
+        return _solved(problem, start, options or DoglegOptions(), on_step)
+
+
+def _solved(
+    problem: Problem | RestrictedProblem,
+    start: State,
+    options: DoglegOptions,
+    on_step: Callable[[int, Evaluation], None] | None,
+) -> Solution:
     here = problem.evaluate(start)
     if not np.isfinite(here.cost):
         return _solution(here, Outcome.NOT_FINITE, 0)

@@ -16,9 +16,11 @@ import numpy as np
 from jaxtyping import Float
 
 from corporeal.solve.curvature import Curvature, PerAxisCurvature
+from corporeal.solve.grouped_slopes import GroupedSlopes
 from corporeal.solve.systems import ArrowSystem, DenseSystem, NormalSystem
 
 Fields = Mapping[str, np.ndarray]
+Slopes = Mapping[str, np.ndarray | GroupedSlopes]
 PARAMETERS = "parameters"
 
 
@@ -97,13 +99,13 @@ class Problem:
     Attributes:
         terms: the squared terms; names must differ.
         derive: parameters (Q,) -> values of the derived fields, each (n, 3).
-        differentiate: parameters (Q,) -> Jacobians of the derived fields, each (n, 3, Q).
+        differentiate: parameters (Q,) -> Jacobians of the derived fields, each (n, 3, Q), by groups or whole.
         free_field: name of the free field, or None.
     """
 
     terms: Sequence[Term]
     derive: Callable[[np.ndarray], Fields] = field(default=lambda _: {})
-    differentiate: Callable[[np.ndarray], Fields] = field(default=lambda _: {})
+    differentiate: Callable[[np.ndarray], Slopes] = field(default=lambda _: {})
     free_field: str | None = None
 
     def __post_init__(self) -> None:
@@ -140,25 +142,25 @@ class Problem:
         gradient, curvature = _sum_quadratics([value.quadratic() for value in evaluation.values.values()])
         size = state.parameters.size
         jacobians = {
-            name: jacobian.reshape(-1, size)
+            name: jacobian if isinstance(jacobian, GroupedSlopes) else jacobian.reshape(-1, size)
             for name, jacobian in self.differentiate(state.parameters).items()
         }
         if narrowed is not None:
-            jacobians = {name: narrowed(jacobian) for name, jacobian in jacobians.items()}
-            jacobians[PARAMETERS] = narrowed(np.eye(size))
-            size = jacobians[PARAMETERS].shape[1]
+            jacobians = {name: _narrowed(jacobian, narrowed) for name, jacobian in jacobians.items()}
+            unit = jacobians[PARAMETERS] = narrowed(np.eye(size))
+            size = unit.shape[1]
         H, g = np.zeros((size, size)), np.zeros(size)
         cross: np.ndarray | None = None
         for name, slope in gradient.items():
             if name in jacobians:
-                g += jacobians[name].T @ slope.ravel()
+                g += _pulled_gradient(jacobians[name], slope)
             elif name == PARAMETERS:
                 g += slope
         for (a, b), block in curvature.items():
             if self.free_field not in (a, b):
                 H += _pulled_back(block, jacobians.get(a), jacobians.get(b), symmetric=a == b)
             elif a != b:
-                other = jacobians[b if a == self.free_field else a]
+                other = _whole(jacobians[b if a == self.free_field else a])
                 part = block.times(other) if a == self.free_field else block.transposed_times(other)
                 cross = part if cross is None else cross + part
         if self.free_field is None:
@@ -185,10 +187,29 @@ def _sum_quadratics(
     return gradient, curvature
 
 
+def _whole(jacobian: np.ndarray | GroupedSlopes) -> np.ndarray:
+    return jacobian.dense() if isinstance(jacobian, GroupedSlopes) else jacobian
+
+
+def _narrowed(
+    jacobian: np.ndarray | GroupedSlopes, narrowed: Callable[[np.ndarray], np.ndarray]
+) -> np.ndarray | GroupedSlopes:
+    return jacobian.narrowed(narrowed) if isinstance(jacobian, GroupedSlopes) else narrowed(jacobian)
+
+
+def _pulled_gradient(jacobian: np.ndarray | GroupedSlopes, slope: np.ndarray) -> np.ndarray:
+    if isinstance(jacobian, GroupedSlopes):
+        return jacobian.pulled_gradient(slope)
+    return jacobian.T @ slope.ravel()
+
+
 def _pulled_back(
-    block: Curvature, left: np.ndarray | None, right: np.ndarray | None, *, symmetric: bool
-) -> np.ndarray:
+    block: Curvature, left: np.ndarray | GroupedSlopes | None, right: np.ndarray | GroupedSlopes | None, *,
+    symmetric: bool,
+) -> np.ndarray:  # fmt: skip
     """LeftT block right; a missing Jacobian is the identity (the field is the parameters themselves)."""
-    product = block.dense() if right is None else block.times(right)
-    product = product if left is None else left.T @ product
+    if symmetric and isinstance(right, GroupedSlopes):
+        return right.pulled_curvature(block)
+    product = block.dense() if right is None else block.times(_whole(right))
+    product = product if left is None else _whole(left).T @ product
     return product if symmetric else product + product.T

@@ -8,9 +8,16 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from corporeal.model.jacobian import Evaluated, Linearised, ParameterColumns, evaluate, linearise
+from corporeal.model.jacobian import (
+    Evaluated,
+    GroupedLinearised,
+    ParameterColumns,
+    evaluate,
+    linearise_groups,
+)
 from corporeal.model.landmarks import LandmarkSet
 from corporeal.model.surface_model import SurfaceModel
+from corporeal.solve.grouped_slopes import GroupedSlopes, SlopeGroup
 
 MODEL = "model"
 LANDMARKS = "landmarks"
@@ -78,18 +85,31 @@ class ModelFields:
             fields[LANDMARKS] = self._landmarks.positions(posed.vertices, posed.joints)
         return fields
 
-    def differentiate(self, vector: Float[np.ndarray, " Q"]) -> dict[str, np.ndarray]:
-        """Jacobians of the fields, each (n, 3, Q)."""
+    def differentiate(self, vector: Float[np.ndarray, " Q"]) -> dict[str, np.ndarray | GroupedSlopes]:
+        """Jacobians of the fields, each (n, 3, Q); that of the vertices by groups."""
         p = self.parameters(vector)
-        linear = linearise(self.model, p.shape, p.pose, p.translation, correctives=self._correctives)
-        fields = {MODEL: linear.vertex_jacobian}
+        linear = linearise_groups(self.model, p.shape, p.pose, correctives=self._correctives)
+        parts = zip(self.model.vertex_groups, linear.group_columns, linear.group_jacobians, strict=True)
+        slopes = GroupedSlopes(
+            tuple(SlopeGroup(len(of.own), of.around, columns, jacobian) for of, columns, jacobian in parts),
+            (self.model.vertex_count, 3, self.columns.count),
+        )
+        fields: dict[str, np.ndarray | GroupedSlopes] = {MODEL: slopes}
         if self._landmarks is not None:
-            fields[LANDMARKS] = _landmark_jacobian(self._landmarks, linear)
+            fields[LANDMARKS] = _landmark_jacobian(self._landmarks, linear, slopes)
         return fields
 
 
-def _landmark_jacobian(landmarks: LandmarkSet, linear: Linearised) -> Float[np.ndarray, "N 3 Q"]:
-    V, K, Q = len(linear.vertices), len(linear.joints), linear.vertex_jacobian.shape[2]
-    of_vertices = landmarks.weights[:, :V] @ linear.vertex_jacobian.reshape(V, 3 * Q)
+def _landmark_jacobian(
+    landmarks: LandmarkSet, linear: GroupedLinearised, slopes: GroupedSlopes
+) -> Float[np.ndarray, "N 3 Q"]:
+    V, _, Q = slopes.shape
+    K, N = len(linear.joint_jacobian), landmarks.weights.shape[0]
     of_joints = landmarks.weights[:, V:] @ linear.joint_jacobian.reshape(K, 3 * Q)
-    return (of_vertices + of_joints).reshape(-1, 3, Q)
+    jacobian = np.asarray(of_joints).reshape(N, 3, Q)
+    for group in slopes.groups:
+        weights = landmarks.weights[:, group.points[: group.count]]
+        if weights.nnz:
+            part = weights @ group.slopes[: group.count].reshape(group.count, -1)
+            jacobian[:, :, group.columns] += part.reshape(N, 3, -1)
+    return jacobian
