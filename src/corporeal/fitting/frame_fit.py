@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from corporeal.fitting.frame_data import FramePoints, HandFaces, chosen_points, seen_shares
 from corporeal.fitting.options import AnnealingStep, TrackingOptions
@@ -23,11 +23,11 @@ from corporeal.terms.surface_to_scan import STICKING_OUT, ScanSurface, SurfaceTo
 
 # Curvature along the surface as a share of that across it, as in registration.
 _TANGENTIAL = 0.1
-# Equation 13: the share of the way back from the model to the scan.
-_BACK_SHARE = 0.3
-# After the first frame: asked of hands of which so much is seen (a fist shows a quarter of its skin), and in
-# solves with a robust scale so narrow, metres.
-_HAND_SEEN, _BACK_WITHIN = 0.15, 0.02
+# Equation 13: the share of the way back from the model to the scan, of the body and of hands.
+_BODY_BACK, _HAND_BACK = 1.0, 0.3
+# After the first frame: asked in solves with a robust scale so narrow, metres, and of hands of which so much
+# is seen (a fist shows a quarter of its skin).
+_BACK_WITHIN, _HAND_SEEN = 0.02, 0.15
 _SURFACE_POINTS = 12_000
 
 
@@ -38,8 +38,8 @@ class FrameStart:
     Attributes:
         vector: (Q,) parameters.
         previous: pose of the last good frame for the zero-velocity term, or None.
-        first: whether the body's prior and distances back from all of the body are wanted.
-        back: the scan's surface, for distances both ways, of hands alone but in the first frame; or None.
+        first: whether only a rough pose is known: distances back are asked in all solves, of all hands.
+        back: the scan's surface, for distances both ways; or None.
         shape: (s,) that of the frames before, ``shapes`` of them, for the prior of equation 12; or None.
         shapes: how many frames have told the shape.
     """
@@ -70,6 +70,8 @@ class FrameFitter:
         self.surface = MovingSurface(model.template, model.faces)
         self.hands = HandFaces.of_model(model)
         self.on_hands = self.hands.any_hand(len(model.faces))
+        self._hand_vertices = np.zeros(model.vertex_count, dtype=bool)
+        self._hand_vertices[np.unique(model.faces[self.on_hands])] = True
         self._subspace = tracking_subspace(model, self.fields.columns, options)
 
     def fit(self, points: FramePoints, start: FrameStart, steps: tuple[AnnealingStep, ...]) -> Solution:
@@ -105,20 +107,36 @@ class FrameFitter:
         }
         return FrameMeasures(s2m_mm, seen_shares(points, closest, vertices, self.surface, self.hands))
 
-    def _of_seen_hands(
-        self, points: FramePoints, closest: ClosestPoints, vertices: np.ndarray, step: AnnealingStep
-    ) -> Float[np.ndarray, " V"]:
-        """1 for vertices of hands that the scan shows, of which distances back to it can be asked.
+    def _back_terms(
+        self, scan: ScanSurface, weight: float, hands: Bool[np.ndarray, " V"], first: bool,
+        distance: DistanceOptions,
+    ) -> list[Term]:  # fmt: skip
+        """Distances back to the scan: of the body's vertices, and of those that ``hands`` asks of hands.
+
+        The body is asked everywhere: with vertices outside of the scan alone it was 0.4 mm farther off. Of a
+        fist half the skin is hidden: there, only what is outside counts. Later than in the first frame, what
+        sticks out of a hole in a hand may be what is missing.
+        """
+        body = weight * _BODY_BACK * ~self._hand_vertices
+        asked = weight * _HAND_BACK * hands
+        edge = STICKING_OUT if first else np.inf
+        return [
+            SurfaceToScan("body back", MODEL, self.surface, scan, body, distance),
+            SurfaceToScan("hands back", MODEL, self.surface, scan, asked, distance, True, edge),
+        ]
+
+    def _seen_hands(
+        self, points: FramePoints, closest: ClosestPoints, vertices: np.ndarray
+    ) -> Bool[np.ndarray, " V"]:
+        """Vertices of hands that the scan shows, of which distances back to it can be asked.
 
         All skin of a hand that is missing lies outside of the scan: it would be drawn to the nearest thigh.
         """
-        asked = np.zeros(self.model.vertex_count)
-        if step.robust_scale > _BACK_WITHIN:
-            return asked
+        asked = np.zeros(self.model.vertex_count, dtype=bool)
         shares = seen_shares(points, closest, vertices, self.surface, self.hands)
         for name, mask in self.hands.masks.items():
             if shares[f"{name}_seen"] > _HAND_SEEN:
-                asked[np.unique(self.model.faces[mask])] = 1.0
+                asked[np.unique(self.model.faces[mask])] = True
         return asked
 
     def _terms(
@@ -134,23 +152,17 @@ class FrameFitter:
         terms: list[Term] = [
             ScanToSurface("scan", MODEL, self.surface, near.positions, shares, near.normals, distance)
         ]
-        if start.back is not None:
-            share = _BACK_SHARE * float(shares.sum()) / self.model.vertex_count
-            back = share * np.ones(self.model.vertex_count)
-            if not start.first:
-                back *= self._of_seen_hands(points, closest, vertices, step)
-            # Later than in the first frame, what sticks out of a hole may be what is missing there.
-            edge = STICKING_OUT if start.first else np.inf
-            terms.append(SurfaceToScan("back", MODEL, self.surface, start.back, back, distance, True, edge))
+        if start.back is not None and (start.first or step.robust_scale <= _BACK_WITHIN):
+            weight = float(shares.sum()) / self.model.vertex_count
+            hands = self._hand_vertices if start.first else self._seen_hands(points, closest, vertices)
+            terms += self._back_terms(start.back, weight, hands, start.first, distance)
         size = columns.shape.stop - columns.shape.start
         if size:
             # A person has one shape: a frame is held to the mean of those before, more with each of them.
             spread = float(1 / np.sqrt(weights.shape * (1 + start.shapes) ** 2))
             middle = np.zeros(size) if start.shape is None else start.shape
             terms.append(GaussianPrior.isotropic("shape prior", columns.shape, middle, spread))
-        return terms + pose_terms(
-            self.model, columns, options, step.weight, previous=start.previous, body_prior=start.first
-        )
+        return terms + pose_terms(self.model, columns, options, step.weight, previous=start.previous)
 
 
 def scan_surface(scan: Scan) -> ScanSurface | None:

@@ -15,7 +15,7 @@ class TrackingWeights:
 
     Attributes:
         data: lambda_g, per scan point, times the annealing weight.
-        body_pose: lambda_theta_b, over the annealing weight; first frame only (equations 12 and 22).
+        body_pose: lambda_theta_b, over the annealing weight.
         hand_pose: lambda_theta_h, over the annealing weight.
         coupling: lambda_c of the free vertices' edges, over the annealing weight; edges relative to their
             length.
@@ -24,7 +24,7 @@ class TrackingWeights:
     """
 
     data: float = 50.0
-    body_pose: float = 2e3
+    body_pose: float = 2e4
     hand_pose: float = 100.0
     coupling: float = 5e4
     shape: float = 1.0
@@ -84,7 +84,7 @@ class TrackingOptions:
         hand_weight: weight of a point on a hand; the body's are 1.
         minimum_cosine: pairs whose normals disagree more are not matched.
         template_frames: of the first stage, at most.
-        shape_count: shape numbers of the first stage.
+        shape_count: shape numbers of the first stage, at most those that the model has.
         bounds: of the verdict.
         seed: of the points drawn.
     """
@@ -103,7 +103,7 @@ class TrackingOptions:
     hand_weight: float = 2.0
     minimum_cosine: float = 0.3
     template_frames: int = 50
-    shape_count: int = 20
+    shape_count: int = 25
     bounds: TrackingBounds = field(default_factory=TrackingBounds)
     seed: int = 0
 

@@ -33,7 +33,6 @@ def pose_terms(
     annealing: float,
     *,
     previous: Float[np.ndarray, "K 3"] | None,
-    body_prior: bool,
 ) -> list[Term]:
     """All terms that speak of the pose alone.
 
@@ -43,7 +42,6 @@ def pose_terms(
         options: weights and ablations.
         annealing: lambda_a.
         previous: pose of the last good frame, or None where there is none.
-        body_prior: whether the body's pose is pulled to its mean (first frame).
     """
     terms: list[Term] = []
     for block in model.pose_blocks:
@@ -52,7 +50,7 @@ def pose_terms(
             terms += _hand_terms(block, where, options, options.weights.hand_pose / annealing)
         elif len(block.joints) == 1:
             terms.append(GaussianPrior.isotropic(f"{block.name} prior", where, block.mean, _LONE_JOINT))
-        elif body_prior:
+        else:
             terms.append(_body_term(block, where, options.weights.body_pose / annealing))
         if block.limits is not None:
             terms.append(PoseLimits(f"{block.name} limits", where, block.limits, _LIMIT))

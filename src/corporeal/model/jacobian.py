@@ -91,13 +91,23 @@ class JointState(NamedTuple):
     rest: Float[np.ndarray, "K 3"]  # position at the zero pose
     placed: Float[np.ndarray, "K 3"]  # position
     motion: Float[np.ndarray, "K 12"]  # what skinning blends: rotation row-major, then placed - turned @ rest
-    feature: Float[np.ndarray, " P"]  # rotations minus identity; empty without correctives
+    feature: Float[
+        np.ndarray, "k 9"
+    ]  # rotations of all but the root minus identity; empty without correctives
 
     @classmethod
-    def blank(cls, K: int, P: int) -> JointState:
-        """Room for K joints and P pose features."""
+    def blank(cls, K: int, corrected: int) -> JointState:
+        """Room for K joints and the pose features of so many."""
         local, left, turned = np.empty((3, K, 3, 3))
-        return cls(local, left, turned, np.empty((K, 3)), np.empty((K, 3)), np.empty((K, 12)), np.empty(P))
+        return cls(
+            local,
+            left,
+            turned,
+            np.empty((K, 3)),
+            np.empty((K, 3)),
+            np.empty((K, 12)),
+            np.empty((corrected, 9)),
+        )
 
     def frames(self, translation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Joints (K, 3) and T_world_joint (K, 4, 4)."""
@@ -242,7 +252,7 @@ class _Linearisation:
         """Derivatives of some vertices, ``width`` columns each."""
         jacobian = np.empty((len(vertices), 3, width))
         chosen = Chosen(vertices, layout, self._chosen)
-        corrected = len(self._arrays.correctives) // (len(self._arrays.corrected_starts) - 1)
+        corrected = self._arrays.correctives.size // (len(self._arrays.corrected_starts) - 1)
         work = len(jacobian) * (3 * width + 9 * len(self._chosen) + 4 * corrected)
         kernels.linearise_vertices(
             _chunks(work), self._arrays, chosen, self.coefficients, self.joints, self._slopes, jacobian
@@ -265,7 +275,8 @@ def _posed_vertices(
 ) -> np.ndarray:
     vertices = np.empty((model.vertex_count, 3))
     arrays = model.kernel_arrays
-    work = vertices.size * (len(coefficients) + 40) + len(arrays.correctives)
+    work = vertices.size * (len(coefficients) + 40)
+    work += arrays.correctives.size if len(joints.feature) else 0
     kernels.pose_vertices(_chunks(work), arrays, coefficients, joints, translation, vertices)
     return vertices
 
@@ -278,7 +289,7 @@ def _posed_joints(
         raise ValueError(
             f"pose: shape {pose.shape}, expected ({K}, 3): one axis-angle per joint of the model"
         )
-    joints = JointState.blank(K, model.pose_directions.shape[2] if correctives else 0)
+    joints = JointState.blank(K, model.pose_directions.shape[2] // 9 if correctives else 0)
     pose = np.ascontiguousarray(pose, dtype=np.float64)
     kernels.chain_joints(model.kernel_arrays, coefficients, pose, joints)
     return joints

@@ -28,10 +28,8 @@ class KernelArrays(NamedTuple):
         chain_joints: joints that move a vertex, with all their ancestors, ascending (parents first).
         corrected_starts: (V + 1,).
         corrected_joints: joints (1..K-1) whose pose correctives move a vertex.
-        correctives: (27 p,) pose directions of these joints alone. Vertex i's begin at
-            ``27 * corrected_starts[i]``: a row per coordinate, nine numbers per joint in each. A body's
-            joints move few vertices each; all its directions, 210 MB of which 24 are not zero, were most of
-            the time of an evaluation.
+        correctives: (p, 3, 9) pose directions of these joints alone. A body's joints move few vertices each;
+            all its directions, 210 MB of which 24 are not zero, were most of the time of an evaluation.
     """
 
     template: Float[np.ndarray, " R"]
@@ -46,7 +44,7 @@ class KernelArrays(NamedTuple):
     chain_joints: Int[np.ndarray, " c"]
     corrected_starts: Int[np.ndarray, " V1"]
     corrected_joints: Int[np.ndarray, " p"]
-    correctives: Float[np.ndarray, " p27"]
+    correctives: Float[np.ndarray, "p 3 9"]
 
 
 def kernel_arrays(
@@ -89,18 +87,12 @@ def kernel_arrays(
 
 def _packed_correctives(
     pose_directions: Float[np.ndarray, "V 3 P"], corrected: sp.csr_matrix
-) -> Float[np.ndarray, " p27"]:
+) -> Float[np.ndarray, "p 3 9"]:
     """See ``KernelArrays.correctives``; ``corrected`` (V, K) says which joints move which vertices."""
-    starts, counts = corrected.indptr[:-1].astype(np.int64), np.diff(corrected.indptr).astype(np.int64)
-    vertices = np.repeat(np.arange(len(counts)), counts)
-    entries = np.arange(len(vertices))
-    packed = np.empty(27 * len(vertices))
-    for axis in range(3):
-        begun = 27 * starts[vertices] + 9 * axis * counts[vertices] + 9 * (entries - starts[vertices])
-        for element in range(9):
-            column = 9 * (corrected.indices - 1) + element
-            packed[begun + element] = pose_directions[vertices, axis, column]
-    return packed
+    vertices = np.repeat(np.arange(corrected.shape[0]), np.diff(corrected.indptr))
+    by_joint = pose_directions.reshape(corrected.shape[0], 3, -1, 9)
+    packed = by_joint[vertices, :, corrected.indices - 1]
+    return _double(packed)
 
 
 def _double(array: np.ndarray) -> np.ndarray:

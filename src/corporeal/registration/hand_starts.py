@@ -8,6 +8,7 @@ outside of the scan count (``SurfaceToScan.outside``): with all of them the wron
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
@@ -61,14 +62,20 @@ _EVERY, _LED_SIGMA = 40, 0.25
 
 @dataclass(frozen=True)
 class _Descent:
-    """Robust scale and standard deviation of a distance in metres; most steps."""
+    """Robust scale and standard deviation of a distance in metres; most steps.
+
+    ``every``-th points of the scan and vertices are looked at; coarse descents leave pose correctives out.
+    """
 
     robust_scale: float
     sigma: float
     iterations: int
+    every: int = 1
 
 
-_WIDE, _NARROW = _Descent(0.05, 0.004, 6), _Descent(0.01, 0.002, 10)
+_FIRST, _WIDE, _NARROW = _Descent(0.05, 0.004, 2, 3), _Descent(0.05, 0.004, 4, 3), _Descent(0.01, 0.002, 10)
+# How many of the starts go on after two steps; the rest of them ended no better than by other starts.
+_GOING_ON = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +88,7 @@ class HandTried:
             that it had.
         vertices: (n,) of the whole model, on the arm.
         positions: (n, 3) where the best descent put them, metres.
+        promising: the poses of fingers whose descents led farthest, for a second round.
     """
 
     name: str
@@ -88,10 +96,11 @@ class HandTried:
     cost_before: float
     vertices: Int[np.ndarray, " n"]
     positions: Float[np.ndarray, "n 3"]
+    promising: tuple[Float[np.ndarray, " f"], ...]
 
 
 def hands_tried(
-    model: SurfaceModel, scan: Scan, parameters: ModelParameters, names: tuple[str, ...] | None = None
+    model: SurfaceModel, scan: Scan, parameters: ModelParameters, before: Sequence[HandTried] = ()
 ) -> tuple[ModelParameters, list[HandTried]]:
     """The parameters with every hand in the pose whose descent costs least; its own pose is among the starts.
 
@@ -102,24 +111,26 @@ def hands_tried(
         model: with pose blocks of hands that hang on a forearm; one without is given back unchanged.
         scan: metres.
         parameters: that fit the body well, its hands perhaps not.
-        names: pose blocks to try; all if None.
+        before: what an earlier round found; only what was promising then is tried again.
     """
     pose = parameters.pose.copy()
     tried: list[HandTried] = []
+    promising = {hand.name: hand.promising for hand in before}
     if scan.is_point_cloud:
         return parameters, tried
     posed = evaluate(model, parameters.shape, parameters.pose, parameters.translation)
     for block in model.pose_blocks:
-        if not is_hand_on_arm(model, block) or (names is not None and block.name not in names):
+        if not is_hand_on_arm(model, block):
             continue
         arm = _arm_of(model, block.name)
         near = _cut_out(scan, posed, model, arm)
         if near is None:
             continue
         fit = _ArmFit(arm, parameters.shape, near, _pose_of_arm(arm, posed, parameters.pose))
-        vector, cost, before = fit.best()
-        pose[arm.joints] = _local_pose(model, arm, posed, vector)
-        tried.append(HandTried(block.name, cost, before, arm.vertices, fit.vertices(vector)))
+        best = fit.best(promising.get(block.name))
+        pose[arm.joints] = _local_pose(model, arm, posed, best.vector)
+        placed = fit.vertices(best.vector)
+        tried.append(HandTried(block.name, best.cost, best.cost_before, arm.vertices, placed, best.promising))
     return ModelParameters(parameters.translation, pose, parameters.shape), tried
 
 
@@ -216,6 +227,16 @@ def _cost(solution: Solution) -> float:
     return solution.cost if solution.outcome.usable and np.isfinite(solution.cost) else np.inf
 
 
+@dataclass(frozen=True, eq=False)
+class _Best:
+    """What an arm's descents came to; see ``HandTried``."""
+
+    vector: Float[np.ndarray, " Q"]
+    cost: float
+    cost_before: float
+    promising: tuple[Float[np.ndarray, " f"], ...]
+
+
 class _ArmFit:
     """One arm, in the shape of its person, being fitted to what was cut out of a scan."""
 
@@ -228,6 +249,7 @@ class _ArmFit:
         self._model = part.replace(template=shaped, shape_directions=growth[:, :, None])
         self._arm = arm
         self._fields = ModelFields(self._model, shape_count=1)
+        self._coarse = ModelFields(self._model, shape_count=1, correctives=False)
         self._begun = ModelParameters(begun.translation - rest[0], begun.pose, np.zeros(1)).vector()
         self._points, self._normals = sample_surface(scan, _POINTS)
         self._scan: ScanSurface = ScanSurface.of_mesh(scan.points, scan.faces, SURFACE_POINTS)
@@ -235,23 +257,33 @@ class _ArmFit:
         self._where = block_columns(self._block, self._fields.columns)
         self._wrist = slice(self._fields.columns.pose.start + 3, self._fields.columns.pose.start + 6)
 
-    def best(self) -> tuple[Float[np.ndarray, " Q"], float, float]:
-        """Parameters of the descent that costs least, its cost, and that of the descent from the own pose."""
-        own = self._descended(self._begun, _WIDE, _NARROW)
+    def best(self, fingers: tuple[Float[np.ndarray, " f"], ...] | None = None) -> _Best:
+        """The descent that costs least: from the own pose, or from ``fingers``, all known ones if None."""
+        own = self._descended(self._begun, _FIRST, _WIDE, _NARROW)
         straight = self._begun.copy()
         straight[self._wrist] = 0
         bent = np.linalg.norm(self._begun[self._wrist]) > _STRAIGHT
         wrists = [self._begun, straight] if bent else [self._begun]
-        starts = [self._posed(wrist, fingers) for wrist in wrists for fingers in self._known_fingers()]
-        found = self._best_of(starts, own)
-        found = self._best_of(self._other_thumbs(found.state.parameters), found)
-        return found.state.parameters, found.cost, own.cost
+        known = self._known_fingers() if fingers is None else list(fingers)
+        found, promising = self._best_of([self._posed(w, one) for w in wrists for one in known], own)
+        kept = tuple(start[self._where] for start in promising)
+        found, _ = self._best_of(self._other_thumbs(found.state.parameters), found)
+        return _Best(found.state.parameters, found.cost, own.cost, kept)
 
-    def _best_of(self, starts: list[Float[np.ndarray, " Q"]], other: Solution) -> Solution:
-        """All go the wide way, the best of them the narrow one too."""
-        wide = sorted((self._descended(start, _WIDE) for start in starts), key=_cost)
+    def _best_of(
+        self, starts: list[Float[np.ndarray, " Q"]], other: Solution
+    ) -> tuple[Solution, list[Float[np.ndarray, " Q"]]]:
+        """All go two steps, the better ones the wide way, the best of them the narrow one too.
+
+        Given back are the best of all and the starts of the better ones.
+        """
+        begun = sorted(
+            ((self._descended(start, _FIRST), start) for start in starts), key=lambda it: _cost(it[0])
+        )
+        better = begun[:_GOING_ON]
+        wide = sorted((self._descended(found.state.parameters, _WIDE) for found, _ in better), key=_cost)
         narrow = [self._descended(found.state.parameters, _WIDE, _NARROW) for found in wide[:_KEPT]]
-        return min([other, *narrow], key=_cost)
+        return min([other, *narrow], key=_cost), [start for _, start in better]
 
     def vertices(self, vector: Float[np.ndarray, " Q"]) -> Float[np.ndarray, "n 3"]:
         """The posed arm, metres."""
@@ -285,7 +317,8 @@ class _ArmFit:
 
     def _descended(self, start: Float[np.ndarray, " Q"], *descents: _Descent) -> Solution:
         for descent in descents:
-            problem = Problem(self._terms(descent), self._fields.derive, self._fields.differentiate)
+            fields = self._fields if descent.every == 1 else self._coarse
+            problem = Problem(self._terms(descent), fields.derive, fields.differentiate)
             limits = DoglegOptions(iterations=descent.iterations, relative_decrease=1e-3)
             solution = solve(problem, State(start), limits)
             start = solution.state.parameters
@@ -294,11 +327,14 @@ class _ArmFit:
     def _terms(self, descent: _Descent) -> list[Term]:
         columns, arm = self._fields.columns, self._arm
         distance = DistanceOptions(descent.sigma, descent.robust_scale, _TANGENTIAL, _MINIMUM_COSINE)
-        weights = np.full(len(self._points), _OBSERVATIONS / len(self._points))
-        back = np.where(arm.fingers, _BACK * _OBSERVATIONS / max(int(arm.fingers.sum()), 1), 0.0)
+        points, normals = self._points[:: descent.every], self._normals[:: descent.every]
+        weights = np.full(len(points), _OBSERVATIONS / len(points))
+        asked = np.flatnonzero(arm.fingers)[:: descent.every]
+        back = np.zeros(len(arm.fingers))
+        back[asked] = _BACK * _OBSERVATIONS / max(len(asked), 1)
         root = slice(columns.pose.start, columns.pose.start + 3)
         return [
-            ScanToSurface("scan", MODEL, arm.surface, self._points, weights, self._normals, distance),
+            ScanToSurface("scan", MODEL, arm.surface, points, weights, normals, distance),
             SurfaceToScan("back", MODEL, arm.surface, self._scan, back, distance, True, STICKING_OUT),
             GaussianPrior.isotropic("elbow", columns.translation, self._begun[columns.translation], _ELBOW),
             GaussianPrior.isotropic("forearm", root, self._begun[root], _FOREARM),

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from corporeal.model.mirror import mirror_model
 from corporeal.model.surface_model import Side, SurfaceModel
 from corporeal.registration.evidence import LandmarkEvidence
-from corporeal.registration.hand_starts import hand_landmarks, hands_tried
+from corporeal.registration.hand_starts import HandTried, hand_landmarks, hands_tried
 from corporeal.registration.judgement import verdict_of
 from corporeal.registration.limbs import limbs_tried
 from corporeal.registration.measures import beyond_cut, scan_to_mesh
@@ -127,9 +127,10 @@ def _through_all_stages(
                 return _failed(fitter, f"surface stage {number}", solution, clock)
             vector = solution.state.parameters
             if number == _HANDS_AFTER and options.hands:
+                tried: list[HandTried] = []
                 for _ in range(_HAND_ROUNDS):
                     with clock.stage("hands"):
-                        fitter, vector = _hands_mended(fitter, vector)
+                        fitter, vector, tried = _hands_mended(fitter, vector, tried)
     with clock.stage("free vertices"):
         vertices = fitter.fields.derive(vector)[MODEL]
         for number, free_stage in enumerate(options.free, start=1):
@@ -141,15 +142,19 @@ def _through_all_stages(
         return _measured(fitter, vector, vertices, clock.seconds)
 
 
-def _hands_mended(fitter: Fitter, vector: Float[np.ndarray, " Q"]) -> tuple[Fitter, Float[np.ndarray, " Q"]]:
+def _hands_mended(
+    fitter: Fitter, vector: Float[np.ndarray, " Q"], before: list[HandTried]
+) -> tuple[Fitter, Float[np.ndarray, " Q"], list[HandTried]]:
     """Every hand in the pose that the scan speaks for, and the body led to it: its arms may be too short."""
     parameters = fitter.fields.parameters(vector)
-    found, tried = hands_tried(fitter.model, fitter.target.scan, parameters)
+    found, tried = hands_tried(fitter.model, fitter.target.scan, parameters, before)
     if not tried:
-        return fitter, vector
+        return fitter, vector, tried
     led = fitter.led_to(hand_landmarks(fitter.model, tried), tuple(f"{hand.name}_" for hand in tried))
     solution = led.fit_surface(found.vector(), fitter.options.surface[_HANDS_AFTER - 1])
-    return (led, solution.state.parameters) if solution.outcome.usable else (fitter, vector)
+    if not solution.outcome.usable:
+        return fitter, vector, tried
+    return led, solution.state.parameters, tried
 
 
 def _second_start(
