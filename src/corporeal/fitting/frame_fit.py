@@ -162,7 +162,10 @@ class FrameFitter:
             spread = float(1 / np.sqrt(weights.shape * (1 + start.shapes) ** 2))
             middle = np.zeros(size) if start.shape is None else start.shape
             terms.append(GaussianPrior.isotropic("shape prior", columns.shape, middle, spread))
-        return terms + pose_terms(self.model, columns, options, step.weight, previous=start.previous)
+        body_weight = weights.body_pose if size or start.first else weights.body_pose_tracked
+        return terms + pose_terms(
+            self.model, columns, options, step.weight, previous=start.previous, body_weight=body_weight
+        )
 
 
 def scan_surface(scan: Scan) -> ScanSurface | None:

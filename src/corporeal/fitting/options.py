@@ -15,7 +15,10 @@ class TrackingWeights:
 
     Attributes:
         data: lambda_g, per scan point, times the annealing weight.
-        body_pose: lambda_theta_b, over the annealing weight.
+        body_pose: lambda_theta_b, over the annealing weight: of the first stage and of the first frame, where
+            a wrong twist of a limb would go into the template.
+        body_pose_tracked: the same of all frames once the template is known: in a crouch, which is rare in
+            recordings, the strong one costs 1 to 3 mm.
         hand_pose: lambda_theta_h, over the annealing weight.
         coupling: lambda_c of the free vertices' edges, over the annealing weight; edges relative to their
             length.
@@ -25,6 +28,7 @@ class TrackingWeights:
 
     data: float = 50.0
     body_pose: float = 2e4
+    body_pose_tracked: float = 2e3
     hand_pose: float = 100.0
     coupling: float = 5e4
     shape: float = 1.0

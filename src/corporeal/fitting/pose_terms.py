@@ -33,6 +33,7 @@ def pose_terms(
     annealing: float,
     *,
     previous: Float[np.ndarray, "K 3"] | None,
+    body_weight: float,
 ) -> list[Term]:
     """All terms that speak of the pose alone.
 
@@ -42,6 +43,7 @@ def pose_terms(
         options: weights and ablations.
         annealing: lambda_a.
         previous: pose of the last good frame, or None where there is none.
+        body_weight: lambda_theta_b.
     """
     terms: list[Term] = []
     for block in model.pose_blocks:
@@ -51,7 +53,7 @@ def pose_terms(
         elif len(block.joints) == 1:
             terms.append(GaussianPrior.isotropic(f"{block.name} prior", where, block.mean, _LONE_JOINT))
         else:
-            terms.append(_body_term(block, where, options.weights.body_pose / annealing))
+            terms.append(_body_term(block, where, body_weight / annealing))
         if block.limits is not None:
             terms.append(PoseLimits(f"{block.name} limits", where, block.limits, _LIMIT))
     terms += hinge_terms(model, columns, HINGE_SIGMA)
