@@ -11,7 +11,8 @@ hands     the same of the vertices that the scanner saw on hands that are not mi
 whole     the same of all placed vertices of those hands, seen or not
 gone      the same of all placed vertices of missing hands: how far a guess is off
 s2m       scan to model, mean, mm
-turn      the largest turn of a finger joint to the next frame, degrees: the angle of R_before^T R_now
+turn      the largest turn of a finger joint to the next frame, degrees: the angle of R_before^T R_now; not where
+          the recorded motion itself jumps, a joint by more than 12 cm within a frame
 back      frames until a hand that was missing is well again, the longest: the first frame after its return in
           which the distance of its placed vertices is at most 1.5 times its mean (over frames in which it
           is visible, but not within ten after a return) counts as 0, 1, ...; "never" where the sequence
@@ -41,6 +42,8 @@ from corporeal.model.surface_model import SurfaceModel
 HANDS = ("left_hand", "right_hand")
 WELL_AGAIN = 1.5
 AFTER = 10
+# Metres within a frame of 1/60 s: recordings have flaws in which a limb is elsewhere at once.
+JUMP = 0.12
 COLUMNS = ("body", "hands", "whole", "gone", "s2m")
 
 
@@ -100,6 +103,11 @@ class Truth:
         with np.load(self._folder / f"{name}.npz", allow_pickle=False) as truth:
             gone = {str(part) for part in truth["missing"]}
         return {hand for hand in HANDS if hand in gone or hand.replace("hand", "forearm") in gone}
+
+    def joints(self, name: str) -> np.ndarray:
+        """(K, 3) true places, metres."""
+        with np.load(self._folder / f"{name}.npz", allow_pickle=False) as truth:
+            return truth["joints"]
 
     def distances(self, record: FrameRecord) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(V,) mm from every vertex to its true place; which have one; which the scanner saw."""
@@ -167,6 +175,9 @@ def _add_turns(score: Score, truth: Truth, records: list[FrameRecord]) -> None:
     for before, now in pairwise(records):
         if not before.state.fitted:
             continue  # it stands as the registration left it: nothing has been tracked yet
+        moved = np.linalg.norm(truth.joints(now.frame.name) - truth.joints(before.frame.name), axis=1)
+        if moved.max() > JUMP:
+            continue
         turns = turns_degrees(before.frame.pose[truth.fingers], now.frame.pose[truth.fingers])
         if turns.max() > score.turn:
             score.turn = float(turns.max())

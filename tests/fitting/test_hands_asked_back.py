@@ -1,4 +1,4 @@
-"""Distances from hands back to the scan: asked of hands that are seen, not of missing ones beside a thigh."""
+"""Distances back to the scan: asked of the body and of hands that are seen, not of a missing one."""
 
 import numpy as np
 import pytest
@@ -37,23 +37,30 @@ def without_left_hand():
 
 
 def _weights(without_left_hand, step, *, first):
+    """Weights of the two terms together; of the arms' vertices among them."""
     fitter, points, scan, vector = without_left_hand
     start = FrameStart(vector, None, first=first, back=scan_surface(scan))
-    (back,) = [term for term in fitter._terms(points, vector, start, step) if term.name == "back"]
-    of = {
-        name: back.weights[np.unique(fitter.model.faces[mask])] for name, mask in fitter.hands.masks.items()
-    }
-    return back.weights, of["left_hand"], of["right_hand"]
+    terms = [term for term in fitter._terms(points, vector, start, step) if "back" in term.name]
+    if not terms:
+        return None
+    weights = sum(term.weights for term in terms)
+    assert not np.logical_and(*(term.weights > 0 for term in terms)).any()
+    hands = {name: np.unique(fitter.model.faces[mask]) for name, mask in fitter.hands.masks.items()}
+    return weights, hands, fitter.model
 
 
-def test_a_missing_hand_is_not_asked(without_left_hand):
-    weights, left, right = _weights(without_left_hand, NARROW, first=False)
-    assert (left == 0).all() and (right > 0).all()
-    assert (weights > 0).sum() == len(right)
+def test_a_missing_hand_is_not_asked_nor_its_forearm(without_left_hand):
+    weights, hands, model = _weights(without_left_hand, NARROW, first=False)
+    assert (weights[hands["left_hand"]] == 0).all() and (weights[hands["right_hand"]] > 0).all()
+    for side, asked in (("left", False), ("right", True)):
+        forearm = model.skinning_weights[:, model.joint_names.index(f"{side}_elbow")] > 0.6
+        assert ((weights[forearm] > 0) == asked).all()
+    torso = model.skinning_weights[:, model.joint_names.index("spine2")] > 0.6
+    assert (weights[torso] > weights[hands["right_hand"]].max()).all()
 
 
-def test_no_hand_is_asked_from_afar(without_left_hand):
-    assert (_weights(without_left_hand, WIDE, first=False)[0] == 0).all()
+def test_nothing_is_asked_from_afar(without_left_hand):
+    assert _weights(without_left_hand, WIDE, first=False) is None
 
 
 def test_all_of_the_first_frame_is_asked(without_left_hand):

@@ -72,6 +72,7 @@ class FrameFitter:
         self.on_hands = self.hands.any_hand(len(model.faces))
         self._hand_vertices = np.zeros(model.vertex_count, dtype=bool)
         self._hand_vertices[np.unique(model.faces[self.on_hands])] = True
+        self._arms = {name: _arm(model, name, mask) for name, mask in self.hands.masks.items()}
         self._subspace = tracking_subspace(model, self.fields.columns, options)
 
     def fit(self, points: FramePoints, start: FrameStart, steps: tuple[AnnealingStep, ...]) -> Solution:
@@ -108,35 +109,36 @@ class FrameFitter:
         return FrameMeasures(s2m_mm, seen_shares(points, closest, vertices, self.surface, self.hands))
 
     def _back_terms(
-        self, scan: ScanSurface, weight: float, hands: Bool[np.ndarray, " V"], first: bool,
+        self, scan: ScanSurface, weight: float, asked: Bool[np.ndarray, " V"], first: bool,
         distance: DistanceOptions,
     ) -> list[Term]:  # fmt: skip
-        """Distances back to the scan: of the body's vertices, and of those that ``hands`` asks of hands.
+        """Distances back to the scan, of the vertices ``asked``.
 
         The body is asked everywhere: with vertices outside of the scan alone it was 0.4 mm farther off. Of a
         fist half the skin is hidden: there, only what is outside counts. Later than in the first frame, what
         sticks out of a hole in a hand may be what is missing.
         """
-        body = weight * _BODY_BACK * ~self._hand_vertices
-        asked = weight * _HAND_BACK * hands
+        body = weight * _BODY_BACK * (asked & ~self._hand_vertices)
+        hands = weight * _HAND_BACK * (asked & self._hand_vertices)
         edge = STICKING_OUT if first else np.inf
         return [
             SurfaceToScan("body back", MODEL, self.surface, scan, body, distance),
-            SurfaceToScan("hands back", MODEL, self.surface, scan, asked, distance, True, edge),
+            SurfaceToScan("hands back", MODEL, self.surface, scan, hands, distance, True, edge),
         ]
 
-    def _seen_hands(
+    def _seen(
         self, points: FramePoints, closest: ClosestPoints, vertices: np.ndarray
     ) -> Bool[np.ndarray, " V"]:
-        """Vertices of hands that the scan shows, of which distances back to it can be asked.
+        """Vertices of which distances back can be asked: all but those of hands that are missing, and arms.
 
         All skin of a hand that is missing lies outside of the scan: it would be drawn to the nearest thigh.
+        Its forearm may be missing too.
         """
-        asked = np.zeros(self.model.vertex_count, dtype=bool)
+        asked = np.ones(self.model.vertex_count, dtype=bool)
         shares = seen_shares(points, closest, vertices, self.surface, self.hands)
-        for name, mask in self.hands.masks.items():
-            if shares[f"{name}_seen"] > _HAND_SEEN:
-                asked[np.unique(self.model.faces[mask])] = True
+        for name, arm in self._arms.items():
+            if shares[f"{name}_seen"] <= _HAND_SEEN:
+                asked[arm] = False
         return asked
 
     def _terms(
@@ -154,18 +156,28 @@ class FrameFitter:
         ]
         if start.back is not None and (start.first or step.robust_scale <= _BACK_WITHIN):
             weight = float(shares.sum()) / self.model.vertex_count
-            hands = self._hand_vertices if start.first else self._seen_hands(points, closest, vertices)
-            terms += self._back_terms(start.back, weight, hands, start.first, distance)
+            everywhere = np.ones(self.model.vertex_count, dtype=bool)
+            asked = everywhere if start.first else self._seen(points, closest, vertices)
+            terms += self._back_terms(start.back, weight, asked, start.first, distance)
         size = columns.shape.stop - columns.shape.start
         if size:
             # A person has one shape: a frame is held to the mean of those before, more with each of them.
             spread = float(1 / np.sqrt(weights.shape * (1 + start.shapes) ** 2))
             middle = np.zeros(size) if start.shape is None else start.shape
             terms.append(GaussianPrior.isotropic("shape prior", columns.shape, middle, spread))
-        body_weight = weights.body_pose if size or start.first else weights.body_pose_tracked
+        held = size > 0 or start.first
         return terms + pose_terms(
-            self.model, columns, options, step.weight, previous=start.previous, body_weight=body_weight
+            self.model, columns, options, step.weight, previous=start.previous, body_prior=held
         )
+
+
+def _arm(model: SurfaceModel, name: str, hand: Bool[np.ndarray, " F"]) -> Bool[np.ndarray, " V"]:
+    """Vertices of a hand's faces, and of wrist and forearm: carried by the two joints above its fingers."""
+    wrist = int(model.parents[model.block(name).joints[0]])
+    above = [joint for joint in (wrist, int(model.parents[wrist])) if joint > 0]
+    arm = model.skinning_weights[:, above].sum(axis=1) > 0.5
+    arm[np.unique(model.faces[hand])] = True
+    return arm
 
 
 def scan_surface(scan: Scan) -> ScanSurface | None:

@@ -15,10 +15,9 @@ class TrackingWeights:
 
     Attributes:
         data: lambda_g, per scan point, times the annealing weight.
-        body_pose: lambda_theta_b, over the annealing weight: of the first stage and of the first frame, where
-            a wrong twist of a limb would go into the template.
-        body_pose_tracked: the same of all frames once the template is known: in a crouch, which is rare in
-            recordings, the strong one costs 1 to 3 mm.
+        body_pose: lambda_theta_b, over the annealing weight; of all frames of the first stage, where a wrong
+            twist of a limb would go into the template, and of the first of the second (equations 12 and 22).
+            In every frame of the second, the mixture's components take turns, and limbs jump with them.
         hand_pose: lambda_theta_h, over the annealing weight.
         coupling: lambda_c of the free vertices' edges, over the annealing weight; edges relative to their
             length.
@@ -28,11 +27,10 @@ class TrackingWeights:
 
     data: float = 50.0
     body_pose: float = 2e4
-    body_pose_tracked: float = 2e3
     hand_pose: float = 100.0
     coupling: float = 5e4
     shape: float = 1.0
-    velocity: float = 30.0
+    velocity: float = 300.0
 
 
 @dataclass(frozen=True)
@@ -56,6 +54,7 @@ class TrackingBounds:
 
     Attributes:
         doubtful_mm: mean distance of scan points to the model.
+        again_mm: the same, for a second try from farther away.
         failed_mm: the same, for a failure.
         fewest_points: a frame with fewer is not fitted.
         covered_share: share of the model's area with scan beside it, under which a frame has failed.
@@ -63,6 +62,7 @@ class TrackingBounds:
     """
 
     doubtful_mm: float = 4.0
+    again_mm: float = 8.0
     failed_mm: float = 15.0
     fewest_points: int = 500
     covered_share: float = 0.2

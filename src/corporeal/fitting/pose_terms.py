@@ -33,7 +33,7 @@ def pose_terms(
     annealing: float,
     *,
     previous: Float[np.ndarray, "K 3"] | None,
-    body_weight: float,
+    body_prior: bool,
 ) -> list[Term]:
     """All terms that speak of the pose alone.
 
@@ -43,7 +43,7 @@ def pose_terms(
         options: weights and ablations.
         annealing: lambda_a.
         previous: pose of the last good frame, or None where there is none.
-        body_weight: lambda_theta_b.
+        body_prior: whether the body's pose is held to the recorded ones.
     """
     terms: list[Term] = []
     for block in model.pose_blocks:
@@ -52,8 +52,8 @@ def pose_terms(
             terms += _hand_terms(block, where, options, options.weights.hand_pose / annealing)
         elif len(block.joints) == 1:
             terms.append(GaussianPrior.isotropic(f"{block.name} prior", where, block.mean, _LONE_JOINT))
-        else:
-            terms.append(_body_term(block, where, body_weight / annealing))
+        elif body_prior:
+            terms.append(_body_term(block, where, options.weights.body_pose / annealing))
         if block.limits is not None:
             terms.append(PoseLimits(f"{block.name} limits", where, block.limits, _LIMIT))
     terms += hinge_terms(model, columns, HINGE_SIGMA)

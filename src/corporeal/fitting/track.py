@@ -158,7 +158,7 @@ class Tracker:
         start = FrameStart(vector, previous, first=not state.fitted, back=back)
         steps = options.annealing if state.fitted else options.first
         vector, measures = self._tried(points, start, steps)
-        if measures is not None and judged(measures, options.bounds)[0] == "ok":
+        if measures is not None and not _worth_another(measures, options.bounds):
             return vector, measures
         # The retry leaves out the pull to the last pose: much time may have passed since.
         again, other = self._tried(
@@ -197,6 +197,16 @@ def judged(measures: FrameMeasures, bounds: TrackingBounds) -> tuple[Status, str
         return "failed", f"track lost: {unseen}"
     reasons = [far] * (mean > bounds.doubtful_mm) + [unseen] * (seen < bounds.doubtful_share)
     return ("doubtful", "; ".join(reasons)) if reasons else ("ok", "")
+
+
+def _worth_another(measures: FrameMeasures, bounds: TrackingBounds) -> bool:
+    """Whether a try from farther away is called for.
+
+    Not for every doubt: in a crouch another person's skin alone may lie over 4 mm off, and what comes from
+    farther away has limbs turned by a quarter of a circle to the frame before.
+    """
+    far = not measures.s2m_mm["mean"] <= bounds.again_mm
+    return far or not measures.seen["model_seen"] >= bounds.doubtful_share
 
 
 def _badness(measures: FrameMeasures) -> float:
