@@ -11,8 +11,8 @@ hands     the same of the vertices that the scanner saw on hands that are not mi
 whole     the same of all placed vertices of those hands, seen or not
 gone      the same of all placed vertices of missing hands: how far a guess is off
 s2m       scan to model, mean, mm
-turn      the largest turn of a finger joint to the next frame, degrees: the angle of R_before^T R_now; not where
-          the recorded motion itself jumps, a joint by more than 12 cm within a frame
+turn      the largest turn of a finger joint to the next frame, degrees: the angle of R_before^T R_now; not
+          where the recorded motion itself jumps, a joint by more than 12 cm within a frame
 back      frames until a hand that was missing is well again, the longest: the first frame after its return in
           which the distance of its placed vertices is at most 1.5 times its mean (over frames in which it
           is visible, but not within ten after a return) counts as 0, 1, ...; "never" where the sequence
