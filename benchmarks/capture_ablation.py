@@ -18,6 +18,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 from tracking import COLUMNS, HANDS, Score, Truth, line, scored
+from tracking_ablation import VARIANTS
 
 from corporeal.fitting.files import (
     TEMPLATE,
@@ -27,18 +28,11 @@ from corporeal.fitting.files import (
     read_frame,
     write_frame,
 )
-from corporeal.fitting.options import TrackingOptions
 from corporeal.fitting.track import Tracker
 from corporeal.registration.subjects import BODY
 from corporeal.scans.files import read_scan
 
-VARIANTS = {
-    "as it is": TrackingOptions(),
-    "no velocity": TrackingOptions(velocity=False),
-    "one Gaussian": TrackingOptions(hand_prior="gaussian"),
-    "flat hands": TrackingOptions(hands="flat"),
-    "six components": TrackingOptions(hands="components"),
-}
+NAMES = ("as it is", "no velocity term", "single Gaussian", "flat hands", "six components")
 BEFORE, SHORTEST = 4, 8
 
 
@@ -77,7 +71,7 @@ def main() -> None:
     parser.add_argument("tracked", type=Path)
     parser.add_argument("--frames", type=int, default=38)
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--variants", nargs="*", default=list(VARIANTS), choices=list(VARIANTS))
+    parser.add_argument("--variants", nargs="*", default=list(NAMES), choices=list(VARIANTS))
     asked = parser.parse_args()
     folders = sorted(path.parent for path in asked.tracked.glob(f"*/{TEMPLATE}"))
     heads = " ".join(f"{column:>6}" for column in COLUMNS)

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float, Int
 
-from corporeal.solve.curvature_kernels import blocks_times, per_axis_times, rows_of_blocks, rows_per_axis
+from corporeal.solve.curvature_kernels import rows_of_blocks, rows_per_axis
 
 
 @runtime_checkable
@@ -120,8 +120,8 @@ class BlockCurvature:
 
     def times(self, columns: np.ndarray) -> np.ndarray:
         """Blocks @ columns, for columns of length 3 n."""
-        flat = np.ascontiguousarray(columns.reshape(columns.shape[0], -1))
-        return blocks_times(self.indptr, self.indices, self.blocks, flat).reshape(columns.shape)
+        everywhere = np.arange(len(self.indptr) - 1)
+        return self.rows_times(everywhere, everywhere, _by_point(columns)).reshape(columns.shape)
 
     def transposed_times(self, columns: np.ndarray) -> np.ndarray:
         """The same as ``times``: the matrix is symmetric."""
@@ -160,8 +160,12 @@ def _if_whole(product: np.ndarray, whole: bool) -> np.ndarray:
     return product.reshape(-1, product.shape[2])
 
 
+def _by_point(columns: np.ndarray) -> Float[np.ndarray, "m 3 a"]:
+    """Columns of length 3 m as the slopes of m points."""
+    return np.ascontiguousarray(columns).reshape(columns.shape[0] // 3, 3, -1)
+
+
 def _per_axis(matrix: sp.csr_matrix, columns: np.ndarray) -> np.ndarray:
-    rows, width = matrix.shape[0], columns.reshape(columns.shape[0], -1).shape[1]
-    flat = np.ascontiguousarray(columns).reshape(matrix.shape[1], 3 * width)
-    product = per_axis_times(matrix.indptr, matrix.indices, matrix.data, flat)
-    return product.reshape(3 * rows, *columns.shape[1:])
+    rows, points = (np.arange(count) for count in matrix.shape)
+    product = PerAxisCurvature(matrix).rows_times(rows, points, _by_point(columns))
+    return product.reshape(3 * len(rows), *columns.shape[1:])

@@ -5,34 +5,11 @@ from numba import njit, prange
 
 
 @njit(cache=True, parallel=True)
-def per_axis_times(indptr, indices, data, columns):
-    rows = len(indptr) - 1
-    product = np.zeros((rows, columns.shape[1]))
-    for i in prange(rows):
-        for k in range(indptr[i], indptr[i + 1]):
-            weight, source = data[k], columns[indices[k]]
-            for c in range(columns.shape[1]):
-                product[i, c] += weight * source[c]
-    return product
-
-
-@njit(cache=True, parallel=True)
-def blocks_times(indptr, indices, blocks, columns):
-    rows = len(indptr) - 1
-    product = np.zeros((3 * rows, columns.shape[1]))
-    for i in prange(rows):
-        for k in range(indptr[i], indptr[i + 1]):
-            j = 3 * indices[k]
-            for a in range(3):
-                x, y, z = blocks[k, a, 0], blocks[k, a, 1], blocks[k, a, 2]
-                for c in range(columns.shape[1]):
-                    product[3 * i + a, c] += x * columns[j, c] + y * columns[j + 1, c] + z * columns[j + 2, c]
-    return product
-
-
-@njit(cache=True, parallel=True)
 def rows_of_blocks(indptr, indices, blocks, points, place, slopes):
-    """Some rows of ``blocks_times``, and whether all that they need was there; see ``SparseCurvature``."""
+    """Rows of a matrix of 3 x 3 blocks times slopes, and whether all that they need was there.
+
+    ``points`` are the rows, and the slopes of point j stand at ``place[j]``; see ``SparseCurvature``.
+    """
     width = slopes.shape[2]
     product = np.zeros((len(points), 3, width))
     missing = np.zeros(len(points), dtype=np.bool_)
@@ -52,7 +29,7 @@ def rows_of_blocks(indptr, indices, blocks, points, place, slopes):
 
 @njit(cache=True, parallel=True)
 def rows_per_axis(indptr, indices, data, points, place, slopes):
-    """Some rows of ``per_axis_times``, and whether all that they need was there."""
+    """The same of a matrix that acts alike on x, y and z."""
     width = slopes.shape[2]
     product = np.zeros((len(points), 3, width))
     missing = np.zeros(len(points), dtype=np.bool_)

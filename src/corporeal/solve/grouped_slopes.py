@@ -45,6 +45,12 @@ class GroupedSlopes:
     groups: tuple[SlopeGroup, ...]
     shape: tuple[int, int, int]
 
+    @classmethod
+    def of_whole(cls, slopes: Float[np.ndarray, "n 3 Q"]) -> GroupedSlopes:
+        """A Jacobian whose points depend on all parameters, as one group."""
+        count, _, size = slopes.shape
+        return cls((SlopeGroup(count, np.arange(count), np.arange(size), slopes),), (count, 3, size))
+
     def dense(self) -> Float[np.ndarray, "n3 Q"]:
         """All rows, with their zeros."""
         whole = np.zeros(self.shape)

@@ -142,27 +142,34 @@ class Problem:
         gradient, curvature = _sum_quadratics([value.quadratic() for value in evaluation.values.values()])
         size = state.parameters.size
         jacobians = {
-            name: jacobian if isinstance(jacobian, GroupedSlopes) else jacobian.reshape(-1, size)
-            for name, jacobian in self.differentiate(state.parameters).items()
+            name: slopes if isinstance(slopes, GroupedSlopes) else GroupedSlopes.of_whole(slopes)
+            for name, slopes in self.differentiate(state.parameters).items()
         }
+        unit = np.eye(size)
         if narrowed is not None:
-            jacobians = {name: _narrowed(jacobian, narrowed) for name, jacobian in jacobians.items()}
-            unit = jacobians[PARAMETERS] = narrowed(np.eye(size))
+            jacobians = {name: slopes.narrowed(narrowed) for name, slopes in jacobians.items()}
+            unit = narrowed(unit)
             size = unit.shape[1]
         H, g = np.zeros((size, size)), np.zeros(size)
         cross: np.ndarray | None = None
         for name, slope in gradient.items():
             if name in jacobians:
-                g += _pulled_gradient(jacobians[name], slope)
+                g += jacobians[name].pulled_gradient(slope)
             elif name == PARAMETERS:
-                g += slope
+                g += slope @ unit
         for (a, b), block in curvature.items():
-            if self.free_field not in (a, b):
-                H += _pulled_back(block, jacobians.get(a), jacobians.get(b), symmetric=a == b)
-            elif a != b:
-                other = _whole(jacobians[b if a == self.free_field else a])
+            if self.free_field in (a, b):
+                if a == b:
+                    continue
+                other = jacobians[b if a == self.free_field else a].dense()
                 part = block.times(other) if a == self.free_field else block.transposed_times(other)
                 cross = part if cross is None else cross + part
+            elif a == b and a in jacobians:
+                H += jacobians[a].pulled_curvature(block)
+            else:
+                left, right = (jacobians[name].dense() if name in jacobians else unit for name in (a, b))
+                product = left.T @ block.times(right)
+                H += product if a == b else product + product.T
         if self.free_field is None:
             return DenseSystem(H, g)
         sparse = curvature[self.free_field, self.free_field]
@@ -185,31 +192,3 @@ def _sum_quadratics(
         for pair, block in quadratic.curvature.items():
             curvature[pair] = curvature[pair].plus(block) if pair in curvature else block
     return gradient, curvature
-
-
-def _whole(jacobian: np.ndarray | GroupedSlopes) -> np.ndarray:
-    return jacobian.dense() if isinstance(jacobian, GroupedSlopes) else jacobian
-
-
-def _narrowed(
-    jacobian: np.ndarray | GroupedSlopes, narrowed: Callable[[np.ndarray], np.ndarray]
-) -> np.ndarray | GroupedSlopes:
-    return jacobian.narrowed(narrowed) if isinstance(jacobian, GroupedSlopes) else narrowed(jacobian)
-
-
-def _pulled_gradient(jacobian: np.ndarray | GroupedSlopes, slope: np.ndarray) -> np.ndarray:
-    if isinstance(jacobian, GroupedSlopes):
-        return jacobian.pulled_gradient(slope)
-    return jacobian.T @ slope.ravel()
-
-
-def _pulled_back(
-    block: Curvature, left: np.ndarray | GroupedSlopes | None, right: np.ndarray | GroupedSlopes | None, *,
-    symmetric: bool,
-) -> np.ndarray:  # fmt: skip
-    """LeftT block right; a missing Jacobian is the identity (the field is the parameters themselves)."""
-    if symmetric and isinstance(right, GroupedSlopes):
-        return right.pulled_curvature(block)
-    product = block.dense() if right is None else block.times(_whole(right))
-    product = product if left is None else _whole(left).T @ product
-    return product if symmetric else product + product.T
