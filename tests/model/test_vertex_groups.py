@@ -32,8 +32,9 @@ def test_every_vertex_is_one_groups_own_and_its_faces_are_around_it(model):
 
 def test_the_jacobian_by_groups_is_the_whole_one_without_zeros(model, rng):
     shape, pose = rng.normal(size=3), 0.5 * rng.normal(size=(model.joint_count, 3))
-    whole = linearise(model, shape, pose, np.zeros(3))
-    grouped = linearise_groups(model, shape, pose)
+    expression = rng.normal(size=min(2, model.expression_count))
+    whole = linearise(model, shape, pose, np.zeros(3), expression)
+    grouped = linearise_groups(model, shape, pose, expression)
     assert np.array_equal(grouped.joint_jacobian, whole.joint_jacobian)
     parts = zip(model.vertex_groups, grouped.group_columns, grouped.group_jacobians, strict=True)
     for group, columns, jacobian in parts:

@@ -91,23 +91,14 @@ class JointState(NamedTuple):
     rest: Float[np.ndarray, "K 3"]  # position at the zero pose
     placed: Float[np.ndarray, "K 3"]  # position
     motion: Float[np.ndarray, "K 12"]  # what skinning blends: rotation row-major, then placed - turned @ rest
-    feature: Float[
-        np.ndarray, "k 9"
-    ]  # rotations of all but the root minus identity; empty without correctives
+    feature: Float[np.ndarray, "k 9"]  # rotations minus identity, not the root's; empty without correctives
 
     @classmethod
     def blank(cls, K: int, corrected: int) -> JointState:
         """Room for K joints and the pose features of so many."""
         local, left, turned = np.empty((3, K, 3, 3))
-        return cls(
-            local,
-            left,
-            turned,
-            np.empty((K, 3)),
-            np.empty((K, 3)),
-            np.empty((K, 12)),
-            np.empty((corrected, 9)),
-        )
+        rest, placed = np.empty((2, K, 3))
+        return cls(local, left, turned, rest, placed, np.empty((K, 12)), np.empty((corrected, 9)))
 
     def frames(self, translation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Joints (K, 3) and T_world_joint (K, 4, 4)."""
@@ -125,13 +116,11 @@ class GroupedLinearised:
 
     Attributes:
         joint_jacobian: (K, 3, Q).
-        columns: which columns belong to which parameters.
         group_columns: per group of ``model.vertex_groups`` the (a,) columns that its vertices depend on.
         group_jacobians: per group (m, 3, a), for the vertices of ``around``.
     """
 
     joint_jacobian: Float[np.ndarray, "K 3 Q"]
-    columns: ParameterColumns
     group_columns: tuple[Int[np.ndarray, " _"], ...]
     group_jacobians: tuple[Float[np.ndarray, "_ 3 _"], ...]
 
@@ -226,7 +215,7 @@ def linearise_groups(
         layout[group.joints] = 3 + 3 * np.arange(len(group.joints))
         columns.append(own)
         jacobians.append(terms.of_vertices(group.around, layout, len(own)))
-    return GroupedLinearised(terms.joint_jacobian, terms.columns, tuple(columns), tuple(jacobians))
+    return GroupedLinearised(terms.joint_jacobian, tuple(columns), tuple(jacobians))
 
 
 class _Linearisation:

@@ -74,7 +74,7 @@ class _Descent:
 
 
 _FIRST, _WIDE, _NARROW = _Descent(0.05, 0.004, 2, 3), _Descent(0.05, 0.004, 4, 3), _Descent(0.01, 0.002, 10)
-# How many of the starts go on after two steps; the rest of them ended no better than by other starts.
+# How many of the starts go on after two steps.
 _GOING_ON = 10
 
 
@@ -127,10 +127,9 @@ def hands_tried(
         if near is None:
             continue
         fit = _ArmFit(arm, parameters.shape, near, _pose_of_arm(arm, posed, parameters.pose))
-        best = fit.best(promising.get(block.name))
-        pose[arm.joints] = _local_pose(model, arm, posed, best.vector)
-        placed = fit.vertices(best.vector)
-        tried.append(HandTried(block.name, best.cost, best.cost_before, arm.vertices, placed, best.promising))
+        vector, hand = fit.best(promising.get(block.name))
+        pose[arm.joints] = _local_pose(model, arm, posed, vector)
+        tried.append(hand)
     return ModelParameters(parameters.translation, pose, parameters.shape), tried
 
 
@@ -227,16 +226,6 @@ def _cost(solution: Solution) -> float:
     return solution.cost if solution.outcome.usable and np.isfinite(solution.cost) else np.inf
 
 
-@dataclass(frozen=True, eq=False)
-class _Best:
-    """What an arm's descents came to; see ``HandTried``."""
-
-    vector: Float[np.ndarray, " Q"]
-    cost: float
-    cost_before: float
-    promising: tuple[Float[np.ndarray, " f"], ...]
-
-
 class _ArmFit:
     """One arm, in the shape of its person, being fitted to what was cut out of a scan."""
 
@@ -257,7 +246,9 @@ class _ArmFit:
         self._where = block_columns(self._block, self._fields.columns)
         self._wrist = slice(self._fields.columns.pose.start + 3, self._fields.columns.pose.start + 6)
 
-    def best(self, fingers: tuple[Float[np.ndarray, " f"], ...] | None = None) -> _Best:
+    def best(
+        self, fingers: tuple[Float[np.ndarray, " f"], ...] | None
+    ) -> tuple[Float[np.ndarray, " Q"], HandTried]:
         """The descent that costs least: from the own pose, or from ``fingers``, all known ones if None."""
         own = self._descended(self._begun, _FIRST, _WIDE, _NARROW)
         straight = self._begun.copy()
@@ -268,7 +259,10 @@ class _ArmFit:
         found, promising = self._best_of([self._posed(w, one) for w in wrists for one in known], own)
         kept = tuple(start[self._where] for start in promising)
         found, _ = self._best_of(self._other_thumbs(found.state.parameters), found)
-        return _Best(found.state.parameters, found.cost, own.cost, kept)
+        vector = found.state.parameters
+        placed = self._fields.evaluated(vector).vertices
+        hand = HandTried(self._block.name, found.cost, own.cost, self._arm.vertices, placed, kept)
+        return vector, hand
 
     def _best_of(
         self, starts: list[Float[np.ndarray, " Q"]], other: Solution
@@ -284,10 +278,6 @@ class _ArmFit:
         wide = sorted((self._descended(found.state.parameters, _WIDE) for found, _ in better), key=_cost)
         narrow = [self._descended(found.state.parameters, _WIDE, _NARROW) for found in wide[:_KEPT]]
         return min([other, *narrow], key=_cost), [start for _, start in better]
-
-    def vertices(self, vector: Float[np.ndarray, " Q"]) -> Float[np.ndarray, "n 3"]:
-        """The posed arm, metres."""
-        return self._fields.evaluated(vector).vertices
 
     def _known_fingers(self) -> list[Float[np.ndarray, " n"]]:
         """The flat hand, the middle of every known kind of pose, and the same bent more.

@@ -147,8 +147,8 @@ class RegistrationOptions:
         Distances are in thirds of a hand's; no second start, whose limbs would be legs and a trunk. Parts are
         kept out of each other only when vertices are free: before, a thigh that is yet too thick pushes the
         hand that rests on it away, by 4 cm in one of eight. In the narrow stage the way back weighs more than
-        the way there: over the first frames of eight simulated sequences the mean vertex lies 9.7 mm from its
-        place then, and 10.5 mm with a tenth of that weight and half the sigma.
+        the way there: over the first frames of eight simulated sequences the mean vertex lies 10.0 mm from
+        its place then, and 10.5 mm with a tenth of that weight and half the sigma.
         """
         usual = cls()
         surface = (
