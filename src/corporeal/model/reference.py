@@ -12,6 +12,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from corporeal.model.large_pages import large_page_array
+
 
 @dataclass(frozen=True, eq=False)
 class PosedSurface:
@@ -125,14 +127,16 @@ class ModelTensors:
         """Build from numpy arrays; the regressor is folded in float64 before rounding."""
         V, _, C = shape_directions.shape
         joint_directions = joint_regressor @ shape_directions.reshape(V, 3 * C)
-        blocks = (template[:, :, None], shape_directions, pose_directions)
-        basis = torch.cat([torch.as_tensor(b, dtype=dtype).flatten(0, 1) for b in blocks], dim=1)
+        blocks = [b.reshape(3 * V, -1) for b in (template[:, :, None], shape_directions, pose_directions)]
+        precision = np.float64 if dtype == torch.float64 else np.float32
+        basis = large_page_array((3 * V, sum(b.shape[1] for b in blocks)), precision)
+        np.concatenate(blocks, axis=1, out=basis, casting="same_kind")
 
         def tensor(array: np.ndarray) -> Tensor:
             return torch.as_tensor(np.ascontiguousarray(array), dtype=dtype, device=device)
 
         return cls(
-            basis=basis.to(device),
+            basis=torch.from_numpy(basis).to(device, dtype),
             joint_template=tensor(joint_regressor @ template),
             joint_directions=tensor(joint_directions.reshape(3 * len(parents), C)),
             skinning_weights=tensor(skinning_weights),

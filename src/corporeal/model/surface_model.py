@@ -237,8 +237,10 @@ class SurfaceModel:
             translation = torch.zeros(batch, 3, dtype=dtype, device=device)
         elif translation.shape[0] not in (1, batch):
             raise ValueError(f"translation: batch of {translation.shape[0]} for {batch} poses")
+        if translation.shape[0] != batch:
+            translation = translation.expand(batch, 3)
         use_correctives = correctives and self.has_correctives
-        return posed_surface(tensors, coefficients, full, translation.expand(batch, 3), use_correctives)
+        return posed_surface(tensors, coefficients, full, translation, use_correctives)
 
     def _shape_and_expression(
         self, shape: Tensor | None, expression: Tensor | None, batch: int, dtype: torch.dtype,
