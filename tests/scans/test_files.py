@@ -328,9 +328,15 @@ def test_real_hands(shared_data, name, points, faces, diagonal):
 
 
 @pytest.mark.real_data
-def test_draco_is_named(shared_data):
-    with pytest.raises(ScanFileError, match="KHR_draco_mesh_compression"):
-        read_scan(shared_data / "scans" / "head-leeperry" / "LeePerrySmith.glb")
+def test_a_draco_file_is_unpacked(shared_data):
+    pytest.importorskip("DracoPy")
+    scan = read_scan(shared_data / "scans" / "head-leeperry" / "LeePerrySmith.glb", "free")
+    points = scan.in_own_unit(scan.points)
+    # What the file says of its positions, which Draco rounds to 14 bits.
+    np.testing.assert_allclose(points.min(0), [-4.2805, -3.9767, -2.5946], atol=0.01)
+    np.testing.assert_allclose(points.max(0), [4.2805, 3.9784, 2.5947], atol=0.01)
+    assert 17_650 < len(scan.faces) <= 17_684  # of the file's, degenerate ones are dropped
+    assert np.einsum("na,na->n", scan.normals, points - points.mean(0)).mean() > 0
 
 
 def test_points_to_look_at_are_those_of_the_file_in_metres_without_broken_ones(tmp_path):

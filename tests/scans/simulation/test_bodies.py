@@ -116,6 +116,13 @@ def test_a_short_clip_is_played_to_and_fro_without_a_jump(simulator, rng):
     assert np.degrees(max(steps)) < 25
 
 
+def test_no_motion_reaches_over_a_slip_of_its_recording(simulator):
+    for seed, clip in enumerate(simulator.clips):
+        pose = body_motion(simulator, clip, 190, np.random.default_rng(seed)).pose[:, :22]
+        before, after = (Rotation.from_rotvec(part.reshape(-1, 3)) for part in (pose[:-1], pose[1:]))
+        assert np.degrees((before.inv() * after).magnitude().max()) < 20.5, clip.name
+
+
 def test_webs_bridge_what_is_narrow_and_face_away_from_each_other(rng):
     spread, along = 0.02, np.array([0.0, 0.025, 0.045])
     joints = np.zeros((15, 3))

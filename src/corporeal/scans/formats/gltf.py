@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 import trimesh
 
+from corporeal.scans.formats.draco import has_draco, without_draco
 from corporeal.scans.raw import RawScan, no_faces
 
 _GLB_MAGIC = b"glTF"
 _FLOAT = 5126
 _COMPRESSED = {
-    "KHR_draco_mesh_compression": "Draco",
     "EXT_meshopt_compression": "meshopt",
     "KHR_meshopt_compression": "meshopt",
 }
@@ -84,6 +84,12 @@ def _document(text: bytes) -> dict[str, Any]:
 def _loaded(data: bytes, kind: str, document: dict[str, Any], buffers: Mapping[str, bytes]) -> RawScan:
     inside = [b["uri"] for b in document.get("buffers", []) if str(b.get("uri", "")).startswith("data:")]
     decoded = sum(len(base64.b64decode(uri.partition(",")[2])) for uri in inside)
+    if has_draco(document):
+        document, contents = without_draco(document, _contents(data, kind, document, buffers))
+        buffers = {f"{number}.bin": content for number, content in enumerate(contents)}
+        for buffer, uri in zip(document["buffers"], buffers, strict=True):
+            buffer["uri"] = uri
+        data, kind, decoded = json.dumps(document).encode(), "gltf", 0
     _check_document(document, len(data) + decoded + sum(map(len, buffers.values())))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # numpy's, on transforms with NaN: cleaning drops such points
@@ -91,6 +97,20 @@ def _loaded(data: bytes, kind: str, document: dict[str, Any], buffers: Mapping[s
             io.BytesIO(data), file_type=kind, resolver=dict(buffers), skip_materials=True, process=False
         )
         return _merged(scene, _notes(document))
+
+
+def _contents(data: bytes, kind: str, document: dict[str, Any], buffers: Mapping[str, bytes]) -> list[bytes]:
+    """What the document's buffers hold, in its order."""
+    contents = []
+    for buffer in document.get("buffers", []):
+        uri = buffer.get("uri")
+        if uri is None and kind == "glb":  # the binary chunk, behind the JSON and eight bytes of its own
+            contents.append(data[28 + struct.unpack_from("<I", data, 12)[0] :][: buffer["byteLength"]])
+        elif isinstance(uri, str) and uri.startswith("data:"):
+            contents.append(base64.b64decode(uri.partition(",")[2]))
+        else:
+            contents.append(buffers[uri])
+    return contents
 
 
 def _check_document(document: dict[str, Any], available_bytes: int) -> None:

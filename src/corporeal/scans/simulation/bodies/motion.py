@@ -13,6 +13,9 @@ from corporeal.scans.simulation.bodies.files import BodySimulator, RecordedClip
 
 FPS = 60.0
 _FINGER_STEPS = 2  # frames of ours for one of the recorded fingers
+# Faster turns of a joint from frame to frame, radians, are slips of the recording's markers (up to 164
+# degrees). The fastest of runs and jumps, which have no slips, is 18 degrees.
+_SLIP = np.radians(20)
 # Of the way along the ground that is slower than this many frames, about so many metres are left.
 _SLOW, _ROOM = 40.0, 0.45
 
@@ -35,10 +38,11 @@ def body_motion(
 ) -> BodyMotion:
     """A window of a clip, turned about the vertical; where the clip is too short, it is played to and fro.
 
-    People stay in the scanner as on a treadmill: of the slow part of their way along the ground only half a
-    metre to either side is left.
+    No window reaches over a slip of the recording. People stay in the scanner as on a
+    treadmill: of the slow part of their way along the ground only half a metre to either side is left.
     """
-    window = _window(len(clip.pose), frames, generator)
+    stretch = _stretch(clip.pose, frames, generator)
+    window = stretch.start + _window(stretch.stop - stretch.start, frames, generator)
     way, along = clip.translation.copy(), np.linspace(-1, 1, len(clip.translation))
     for axis in (0, 2):
         steady = np.polyval(np.polyfit(along, way[:, axis], 1), along)
@@ -53,6 +57,18 @@ def body_motion(
     # A turn's mirror image at x = 0.
     pose[:, 25:40] = left * [1, -1, -1]
     return BodyMotion(pose, heading.apply(way[window]))
+
+
+def _stretch(pose: Float[np.ndarray, "T 22 3"], frames: int, generator: np.random.Generator) -> slice:
+    """A stretch between two slips that holds so many frames, the longest where none does."""
+    count, joints = pose.shape[:2]
+    before, after = (Rotation.from_rotvec(part.reshape(-1, 3)) for part in (pose[:-1], pose[1:]))
+    turns = (before.inv() * after).magnitude().reshape(count - 1, joints)
+    ends = [*(np.flatnonzero(turns.max(axis=1) > _SLIP) + 1), count]
+    stretches = [slice(first, last) for first, last in zip([0, *ends[:-1]], ends, strict=True)]
+    lengths = np.array([part.stop - part.start for part in stretches])
+    enough = np.flatnonzero(lengths >= min(frames, lengths.max()))
+    return stretches[int(generator.choice(enough))]
 
 
 def _window(length: int, frames: int, generator: np.random.Generator) -> np.ndarray:
