@@ -67,6 +67,7 @@ assets: $(VENV)/.demo
 	.venv-assets/bin/python assets/learn_body_correctives.py
 	.venv-assets/bin/python assets/add_body_poses.py
 	$(BIN)/python assets/calibrate_body_detector.py
+	$(BIN)/python assets/calibrate_face_detector.py
 	cp build/body/body_sexes.npz $(MODELS)/
 	.venv-assets/bin/python assets/add_hand_size.py
 	.venv-assets/bin/python assets/demo/build_scan.py
@@ -75,7 +76,7 @@ assets: $(VENV)/.demo
 
 $(VENV)/.demo: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/$(PIP_INSTALL) -e '.[detect]'
+	$(BIN)/$(PIP_INSTALL) -e '.[detect,draco]'
 	$(HEADLESS)
 	touch $@
 

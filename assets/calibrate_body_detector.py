@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import scipy.sparse as sp
-from calibrate_detector import fit_row
+from calibrate_detector import fit_rows
 from scipy.spatial.transform import Rotation
 
 from corporeal.geometry.normals import vertex_normals
@@ -60,20 +60,11 @@ def calibrate(model: SurfaceModel, count: int, seed: int) -> tuple[LandmarkSet, 
                 anchors.append(np.concatenate([posed.vertices, posed.joints]))
                 observed.append(found.points[: len(BODY_NAMES)])
     print(f"the detector saw {len(observed)} of {count} samples")
-    anchor_array, points_array = np.array(anchors), np.array(observed)
-    rows, residuals = [], []
-    for k in range(len(BODY_NAMES)):
-        distance = np.median(np.linalg.norm(anchor_array - points_array[:, k, None], axis=2), axis=0)
-        near = np.argsort(distance)[:_CANDIDATES]
-        row = fit_row(points_array[:, k], anchor_array, near)
-        error = np.linalg.norm(np.einsum("a,sac->sc", row, anchor_array) - points_array[:, k], axis=1)
-        good = error < 2.5 * np.median(error)
-        rows.append(fit_row(points_array[good, k], anchor_array[good], near))
-        residuals.append(np.median(error[good]))
+    rows, residuals = fit_rows(np.array(observed), np.array(anchors), _CANDIDATES)
     hands_rows = [model.landmarks[f"{side}_hand_21_detector"] for side in ("left", "right")]
     names = (*BODY_NAMES, *(name for known in hands_rows for name in known.names))
-    weights = sp.vstack([sp.csr_matrix(np.array(rows)), *(known.weights for known in hands_rows)])
-    return LandmarkSet(names, sp.csr_matrix(weights), model.vertex_count), np.array(residuals)
+    weights = sp.vstack([sp.csr_matrix(rows), *(known.weights for known in hands_rows)])
+    return LandmarkSet(names, sp.csr_matrix(weights), model.vertex_count), residuals
 
 
 def symmetric(model: SurfaceModel) -> SurfaceModel:

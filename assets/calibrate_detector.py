@@ -81,6 +81,20 @@ def fit_row(points: np.ndarray, anchors: np.ndarray, near: np.ndarray) -> np.nda
     return row
 
 
+def fit_rows(points: np.ndarray, anchors: np.ndarray, candidates: int) -> tuple[np.ndarray, np.ndarray]:
+    """A row (A,) per landmark of ``points`` (samples, N, 3), and the median distances (N,) that are left."""
+    rows, residuals = [], []
+    for k in range(points.shape[1]):
+        distance = np.median(np.linalg.norm(anchors - points[:, k, None], axis=2), axis=0)
+        near = np.argsort(distance)[:candidates]
+        row = fit_row(points[:, k], anchors, near)
+        error = np.linalg.norm(np.einsum("a,sac->sc", row, anchors) - points[:, k], axis=1)
+        good = error < 2.5 * np.median(error)  # a sample whose views agreed on the wrong finger
+        rows.append(fit_row(points[good, k], anchors[good], near))
+        residuals.append(np.median(error[good]))
+    return np.array(rows), np.array(residuals)
+
+
 def calibrate(model: SurfaceModel, count: int, seed: int) -> tuple[LandmarkSet, np.ndarray]:
     """The landmark set, and its residuals (21,) over the samples in metres."""
     generator = np.random.default_rng(seed)
@@ -93,17 +107,8 @@ def calibrate(model: SurfaceModel, count: int, seed: int) -> tuple[LandmarkSet, 
                 anchors.append(np.concatenate([posed.vertices, posed.joints]))
                 observed.append(points)
     print(f"the detector saw {len(observed)} of {count} samples")
-    anchor_array, points_array = np.array(anchors), np.array(observed)
-    rows, residuals = [], []
-    for k in range(21):
-        distance = np.median(np.linalg.norm(anchor_array - points_array[:, k, None], axis=2), axis=0)
-        near = np.argsort(distance)[:_CANDIDATES]
-        row = fit_row(points_array[:, k], anchor_array, near)
-        error = np.linalg.norm(np.einsum("a,sac->sc", row, anchor_array) - points_array[:, k], axis=1)
-        good = error < 2.5 * np.median(error)  # a sample whose views agreed on the wrong finger
-        rows.append(fit_row(points_array[good, k], anchor_array[good], near))
-        residuals.append(np.median(error[good]))
-    return LandmarkSet(LANDMARK_NAMES, sp.csr_matrix(np.array(rows)), model.vertex_count), np.array(residuals)
+    rows, residuals = fit_rows(np.array(observed), np.array(anchors), _CANDIDATES)
+    return LandmarkSet(LANDMARK_NAMES, sp.csr_matrix(rows), model.vertex_count), residuals
 
 
 def main() -> None:

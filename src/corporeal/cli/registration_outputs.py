@@ -13,10 +13,10 @@ from corporeal.export.meshes import write_ply
 from corporeal.export.overview import Overview, write_overview
 from corporeal.registration.files import save_registration
 from corporeal.registration.registration import Registration
-from corporeal.registration.subjects import BODY, HAND, subject_of
+from corporeal.registration.subjects import HAND, SUBJECTS, subject_of
 
 _OUTPUTS = ("registration.npz", "registration.ply", "model.ply", "overview.png")
-_GLB = {subject.name: f"{subject.name}.glb" for subject in (HAND, BODY)}
+_GLB = {subject.name: f"{subject.name}.glb" for subject in SUBJECTS}
 
 
 def remove_outputs(folder: Path) -> None:
@@ -46,16 +46,16 @@ def write_outputs(result: Registration, folder: Path, row: dict[str, Any]) -> di
         faces=faces,
         point_errors_mm=np.where(result.distances.scored, 1e3 * result.distances.metres, np.nan),
         views=_views(result),
-        view_names=("front", "side") if subject_of(result.model) is BODY else ("palm", "back"),
-        title=_title(row),
+        view_names=("palm", "back") if subject_of(result.model) is HAND else ("front", "side"),
+        title=_title(row, subject_of(result.model).name),
     )
     write_overview(paths["overview.png"], overview)
     return {name: str(path) for name, path in paths.items()}
 
 
-def _title(row: dict[str, Any]) -> tuple[str, ...]:
+def _title(row: dict[str, Any], kind: str) -> tuple[str, ...]:
     registration, model = row["s2m_mm"], row["model_s2m_mm"]
-    subject = "body" if row["side"] is None else f"{row['side']} hand"
+    subject = kind if row["side"] is None else f"{row['side']} {kind}"
     return (
         f"{Path(row['scan']).name}: {row['status']}, {subject}",
         f"scan to registration: mean {registration['mean']:.2f} mm, 95 % under {registration['p95']:.2f} mm; "
@@ -67,7 +67,7 @@ def _views(result: Registration) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
     """Two views as (view direction, up) in the scan's frame: front and side, or palm and back of a hand."""
     model, root = result.model, result.parameters.pose[0]
     R_world_root = Rotation.from_rotvec(root).as_matrix()
-    if subject_of(model) is BODY:
+    if subject_of(model) is not HAND:
         front, left, up = R_world_root @ [0, 0, 1.0], R_world_root @ [1.0, 0, 0], R_world_root @ [0, 1.0, 0]
         return ((-front, up), (-left, up))
     along = model.template.mean(0) - np.asarray(model.joint_regressor @ model.template)[0]

@@ -17,6 +17,7 @@ from corporeal.model.formats.fields import numbers
 from corporeal.model.formats.left_hand import check_left_hand, repaired_left_hand
 from corporeal.model.formats.native import is_native, native_keys, read_native
 from corporeal.model.formats.official import read_official, statistics_keys
+from corporeal.model.heads import head_of, with_face_marks
 from corporeal.model.mirror import mirror_model
 from corporeal.model.populations import Population, of_population
 from corporeal.model.surface_model import Side, SurfaceModel
@@ -33,7 +34,7 @@ __all__ = [
 Layout = Literal["native", "official"]
 
 _SEXES = ("female", "male")
-_NAMES = '"hand", "body", "body_female" and "body_male"'
+_NAMES = '"hand", "body", "body_female", "body_male" and "head"'
 _EXPECTED = "expected .npz or .pkl: a model of corporeal, MANO, SMPL, SMPL+H, SMPL-X or FLAME"
 # Archives; pickles of protocol 2 and later; of protocols 0 and 1 what opens a tuple, dictionary or class.
 _CONTAINER_START = re.compile(rb"PK|\x80|[(}\]]|c[\w.]+\r?\n[\w.]+\r?\n")
@@ -117,9 +118,10 @@ def save_model(
 
 
 def open_model(name: str, side: Side = "right") -> SurfaceModel:
-    """A model that comes with the package: "hand", "body", "body_female", "body_male".
+    """A model that comes with the package: "hand", "body", "body_female", "body_male", "head".
 
     A left hand is the mirrored right one. The sexes are the body about another mean, in the same shape space.
+    The head is the body's.
 
     Raises:
         ModelFileError: there is no model of that name.
@@ -132,6 +134,8 @@ def open_model(name: str, side: Side = "right") -> SurfaceModel:
             mean = numbers(source, f"{sex}_mean", (None,))
             directions = numbers(source, f"{sex}_directions", (len(mean), len(mean)))
             return of_population(load_model(place / f"{base}.npz"), Population(mean, directions), name)
+        if name == "head":
+            return head_of(with_face_marks(load_model(place / "body.npz"), place / "face_detector.npz"))
         path = place / f"{name}.npz"
         if not path.is_file():
             raise file_error(name, "no model of that name comes with corporeal", f"there are {_NAMES}")

@@ -10,10 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from corporeal.model.surface_model import SurfaceModel
-from corporeal.registration.subjects import BODY, subject_of
+from corporeal.registration.subjects import BODY, HEAD, subject_of
 from corporeal.scans.body_detector import BodyDetector
 from corporeal.scans.body_landmarks import BodyLandmarks, find_body_landmarks
 from corporeal.scans.detector import DetectorMissingError, HandDetector
+from corporeal.scans.face_detector import FaceDetector
+from corporeal.scans.face_landmarks import FaceLandmarks, find_face_landmarks
 from corporeal.scans.formats.landmarks import read_landmarks
 from corporeal.scans.landmarks import HandLandmarks, find_hand_landmarks
 from corporeal.scans.scan import Scan
@@ -53,6 +55,7 @@ class LandmarkFinder:
         self._detectors = ExitStack()
         self._hands: HandDetector | None = None
         self._bodies: BodyDetector | None = None
+        self._faces: FaceDetector | None = None
         self._given: dict[str, np.ndarray] | None = None
         if file is not None:
             self._given = read_landmarks(file)
@@ -63,7 +66,7 @@ class LandmarkFinder:
 
     def __exit__(self, *_: object) -> None:
         self._detectors.close()
-        self._hands = self._bodies = None
+        self._hands = self._bodies = self._faces = None
 
     @property
     def set_name(self) -> str | None:
@@ -101,7 +104,11 @@ class LandmarkFinder:
         side_score = found.side_score if isinstance(found, HandLandmarks) else 0.5
         return LandmarkEvidence(positions, sigmas, side_score, set_name), notes
 
-    def _found(self, scan: Scan) -> HandLandmarks | BodyLandmarks:
+    def _found(self, scan: Scan) -> HandLandmarks | BodyLandmarks | FaceLandmarks:
+        if self._subject is HEAD:
+            if self._faces is None:
+                self._faces = self._detectors.enter_context(FaceDetector())
+            return find_face_landmarks(scan, self._faces)
         if self._hands is None:
             self._hands = self._detectors.enter_context(HandDetector())
         if self._subject is not BODY:

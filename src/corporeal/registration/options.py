@@ -179,6 +179,47 @@ class RegistrationOptions:
         )
 
     @classmethod
+    def for_heads(cls) -> RegistrationOptions:
+        """A head is twice as long as a hand, and its nose farther from the model than a finger's skin.
+
+        Noses decide the scales: with a hand's the tip of one stayed 8 mm outside. The parts of the model,
+        eyes in their sockets, stand in each other from the beginning, so that nothing parts them.
+        """
+        usual = cls()
+        surface = (
+            replace(usual.surface[0], points=3000, robust_scale=30e-3, landmark_sigma=4e-3),
+            replace(usual.surface[1], points=5000, robust_scale=15e-3, landmark_sigma=6e-3),
+            replace(
+                usual.surface[2],
+                points=10_000,
+                robust_scale=12e-3,
+                landmark_sigma=10e-3,
+                separation_sigma=np.inf,
+                iterations=20,
+            ),
+        )
+        free = tuple(
+            replace(
+                stage,
+                points=points,
+                robust_scale=scale,
+                separation_sigma=np.inf,
+                position_sigma=20e-3,
+                iterations=8,
+            )
+            for stage, points, scale in zip(usual.free, (12_000, 24_000), (10e-3, 6e-3), strict=True)
+        )
+        return replace(
+            usual,
+            shape_count=65,
+            surface=surface,
+            free=free,
+            bounds=Bounds.for_heads(),
+            second_starts=0,
+            hands=False,
+        )
+
+    @classmethod
     def for_sessions(cls) -> RegistrationOptions:
         """Fewer points and steps, sharper bounds: for sessions of thousands of scans of one scanner.
 

@@ -19,6 +19,8 @@ from corporeal.terms.pose_subspace import block_columns
 _FLOOR = np.deg2rad(3.0)
 # Where nothing is known of a joint, half a radian is one standard deviation.
 _UNKNOWN = 0.5
+# A scan does not say where eyes look: their skin, a ball, is drawn to lids and lashes and turns at random.
+_EYES, _EYES_HELD = ("leye", "reye"), 0.03
 
 
 def prior_terms(
@@ -47,6 +49,8 @@ def prior_terms(
 
 def _pose_prior(block: PoseBlock, where: slice, scale: float) -> Term:
     name = f"{block.name} prior"
+    if block.name in _EYES:
+        return GaussianPrior.isotropic(name, where, block.mean, _EYES_HELD)
     if block.mixture is not None:
         mixture = block.mixture
         widened = mixture.covariances + _FLOOR**2 * np.eye(len(block.mean))

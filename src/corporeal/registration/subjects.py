@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from corporeal.model.surface_model import SurfaceModel
 from corporeal.registration.options import RegistrationOptions
-from corporeal.scans.units import BODY_EXTENT, HAND_EXTENT, Extent
+from corporeal.scans.units import BODY_EXTENT, HAND_EXTENT, HEAD_EXTENT, Extent
 
 
 @dataclass(frozen=True)
@@ -15,7 +15,7 @@ class SubjectKind:
     """A kind of subject.
 
     Attributes:
-        name: "hand" or "body"; files of results are called after it.
+        name: "hand", "body" or "head"; files of results are called after it.
         detector_sets: the model's landmark sets that the kind's detector fits, best first.
         given_set: the landmark set that a user's file names.
         extent: least and greatest diagonal of the bounding box of a scan, metres.
@@ -51,8 +51,17 @@ BODY = SubjectKind(
     RegistrationOptions.for_bodies,
     RegistrationOptions.for_bodies,
 )
+HEAD = SubjectKind(
+    "head",
+    ("face_51_detector", "face"),
+    "face_68_ibug",
+    HEAD_EXTENT,
+    RegistrationOptions.for_heads,
+    RegistrationOptions.for_heads,
+)
+SUBJECTS = (HAND, BODY, HEAD)
 
 
 def subject_of(model: SurfaceModel) -> SubjectKind:
     """The kind of a model: the first whose landmarks it has; a hand where it has none of any kind."""
-    return next((kind for kind in (HAND, BODY) if kind.detector_set(model) is not None), HAND)
+    return next((kind for kind in SUBJECTS if kind.detector_set(model) is not None), HAND)

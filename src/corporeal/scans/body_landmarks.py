@@ -6,7 +6,6 @@ crop of its own, by the detector of hands.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,7 +17,13 @@ from corporeal.scans.body_detector import BODY_NAMES, LEFT_RIGHT, BodyDetector
 from corporeal.scans.detector import LANDMARK_NAMES, HandDetector
 from corporeal.scans.landmarks import find_hand_landmarks
 from corporeal.scans.scan import Scan
-from corporeal.scans.virtual_cameras import Subject, cameras_around, ring
+from corporeal.scans.virtual_cameras import (
+    Subject,
+    cameras_around,
+    ring,
+    spread_in_metres,
+    upright_candidates,
+)
 
 # The detector's network takes 256 pixels.
 _SIZE = 384
@@ -92,7 +97,7 @@ def find_body_landmarks(scan: Scan, bodies: BodyDetector, hands: HandDetector) -
     """
     subject = Subject.of_scan(scan)
     upright, best, tried = None, (0, 0.0), 0
-    for up in _upright_candidates(subject.outline):
+    for up in upright_candidates(subject.outline):
         views = _seen(subject, ring(up, _COARSE_VIEWS, (0.0,)), up, bodies)
         tried += views.tried
         found = views.triangulated(_TOLERANCE_COARSE)
@@ -117,15 +122,6 @@ def find_body_landmarks(scan: Scan, bodies: BodyDetector, hands: HandDetector) -
     return _with_hands(scan, fine, result, tried, hands)
 
 
-def _upright_candidates(points: Float[np.ndarray, "N 3"]) -> Iterator[Float[np.ndarray, "3"]]:
-    """Directions that may be up, likely ones first: scanners write y or z, and people are long."""
-    axes = np.eye(3)
-    yield from (axes[1], axes[2], -axes[1], -axes[2], axes[0], -axes[0])
-    centred = points - points.mean(0)
-    longest = np.linalg.eigh(centred.T @ centred)[1][:, 2]
-    yield from (longest, -longest)
-
-
 def _stands(points: Float[np.ndarray, "33 3"], up: Float[np.ndarray, "3"]) -> float:
     """Cosine between the trunk and what is taken for up."""
     trunk = points[_NOSE] - points[_HIPS].mean(0)
@@ -148,13 +144,8 @@ def _seen(
 def _with_hands(
     scan: Scan, views: _Views, result: Triangulation, tried: int, detector: HandDetector
 ) -> BodyLandmarks:
-    used = np.flatnonzero(result.agreeing)
-    # Pixels to metres at each point's depth, in the mean over the views that agree.
-    scale = np.mean(
-        [views.cameras[c].project(result.points)[1] / views.cameras[c].focal[0] for c in used], axis=0
-    )
     names, points = list(BODY_NAMES), [result.points]
-    spreads, sides = [np.median(result.residuals[used], axis=0) * scale], []
+    spreads, sides = [spread_in_metres(views.cameras, result)], []
     for side in ("left", "right"):
         found = _hand(scan, result.points, side, detector)
         if found is None:
@@ -169,7 +160,7 @@ def _with_hands(
         names=tuple(names),
         points=np.concatenate(points),
         spread_m=np.concatenate(spreads),
-        views_used=len(used),
+        views_used=int(result.agreeing.sum()),
         views_tried=tried,
         hands=tuple(sides),
     )

@@ -11,7 +11,7 @@ from corporeal.geometry.cameras import Pinhole
 from corporeal.geometry.triangulation import Triangulation, robust_triangulation
 from corporeal.scans.detector import LANDMARK_NAMES, DetectedHand, HandDetector
 from corporeal.scans.scan import Scan
-from corporeal.scans.virtual_cameras import Subject, cameras_around, ring
+from corporeal.scans.virtual_cameras import Subject, cameras_around, ring, spread_in_metres
 
 # The detector's networks take 192 and 224 pixels: at 320 it was no better, and drawing took twice as long.
 _SIZE = 224
@@ -190,20 +190,14 @@ def _seen(subject: Subject, cameras: list[Pinhole], detector: HandDetector) -> _
 
 def _landmarks(views: _Views, result: Triangulation, tried: int) -> HandLandmarks:
     used = np.flatnonzero(result.agreeing)
-    residuals = result.residuals[used]
-    # Pixels to metres at each point's depth, in the mean over the views that agree.
-    scale = np.mean(
-        [views.cameras[c].project(result.points)[1] / views.cameras[c].focal[0] for c in used], axis=0
-    )
-    spread = np.median(residuals, axis=0) * scale
     odds = [views.hands[c].right_probability for c in used]
     return HandLandmarks(
         ok=True,
         reason="views agree",
         points=result.points,
-        spread_m=spread,
+        spread_m=spread_in_metres(views.cameras, result),
         side_score=float(np.mean(odds)),
         views_used=len(used),
         views_tried=tried,
-        reprojection_px=float(np.median(residuals)),
+        reprojection_px=float(np.median(result.residuals[used])),
     )

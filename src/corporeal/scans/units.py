@@ -20,6 +20,9 @@ HAND_EXTENT: Extent = (0.08, 0.9)
 BODY_EXTENT: Extent = (0.25, 2.8)
 """The same for a person, from a head or a bust to a tall one with the arms stretched out."""
 
+HEAD_EXTENT: Extent = (0.2, 0.9)
+"""The same for a head, from a face to a bust with shoulders."""
+
 ANY_EXTENT: Extent = (1e-3, 1e3)
 """For files whose unit is known already: nothing is asked of their size."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,6 +15,7 @@ from scipy.spatial import cKDTree
 from corporeal.geometry.cameras import Pinhole
 from corporeal.geometry.clustering import clustered
 from corporeal.geometry.rasteriser import flat_picture, shade, splat
+from corporeal.geometry.triangulation import Triangulation
 from corporeal.scans.scan import Scan
 
 # Flat shading with a skin-like tint on a plain background, whatever the scan's own colours: those are often
@@ -55,6 +57,22 @@ def ring(axis: Float[np.ndarray, "3"], count: int, tilts: tuple[float, ...]) -> 
         across = np.cos(angles)[:, None] * first + np.sin(angles)[:, None] * second
         directions.append(np.cos(tilt) * across + np.sin(tilt) * axis)
     return np.concatenate(directions)
+
+
+def upright_candidates(points: Float[np.ndarray, "N 3"]) -> Iterator[Float[np.ndarray, "3"]]:
+    """Directions that may be up, likely ones first: scanners write y or z, and people are long."""
+    axes = np.eye(3)
+    yield from (axes[1], axes[2], -axes[1], -axes[2], axes[0], -axes[0])
+    centred = points - points.mean(0)
+    longest = np.linalg.eigh(centred.T @ centred)[1][:, 2]
+    yield from (longest, -longest)
+
+
+def spread_in_metres(cameras: list[Pinhole], found: Triangulation) -> Float[np.ndarray, " N"]:
+    """How far the agreeing views disagree about each point: median residual at the point's mean depth."""
+    used = np.flatnonzero(found.agreeing)
+    per_pixel = [cameras[c].project(found.points)[1] / cameras[c].focal[0] for c in used]
+    return np.median(found.residuals[used], axis=0) * np.mean(per_pixel, axis=0)
 
 
 @dataclass(frozen=True, eq=False)
