@@ -23,12 +23,16 @@ from corporeal.terms.surface_to_scan import STICKING_OUT, ScanSurface, SurfaceTo
 
 # Curvature along the surface as a share of that across it, as in registration.
 _TANGENTIAL = 0.1
-# Equation 13: the share of the way back from the model to the scan, of the body and of hands.
-_BODY_BACK, _HAND_BACK = 1.0, 0.3
+# Equation 13: the share of the way back from the model to the scan; that of hands is an option.
+_BODY_BACK = 1.0
 # After the first frame: asked in solves with a robust scale so narrow, metres, and of hands of which so much
 # is seen (a fist shows a quarter of its skin).
 _BACK_WITHIN, _HAND_SEEN = 0.02, 0.15
 _SURFACE_POINTS = 12_000
+# The pull of what is not seen to its last pose, as a multiple of the usual: otherwise others' skin draws a
+# missing arm along, which sank into a thigh by 0.2 m within 15 frames.
+_UNSEEN = 30.0
+_STRAY_MM = 60.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +42,8 @@ class FrameStart:
     Attributes:
         vector: (Q,) parameters.
         previous: pose of the last good frame for the zero-velocity term, or None.
-        first: whether only a rough pose is known: distances back are asked in all solves, of all hands.
+        first: whether only a rough pose is known: distances back are asked in all solves, of all hands, and
+            the zero-velocity term is of fingers alone.
         back: the scan's surface, for distances both ways; or None.
         shape: (s,) that of the frames before, ``shapes`` of them, for the prior of equation 12; or None.
         shapes: how many frames have told the shape.
@@ -54,10 +59,30 @@ class FrameStart:
 
 @dataclass(frozen=True, eq=False)
 class FrameMeasures:
-    """How a posed model lies in its scan: distances in mm and shares seen."""
+    """How a posed model lies in its scan.
+
+    Attributes:
+        s2m_mm: distances of scan points to the model.
+        seen: shares of the model and of each hand that the scan confirms.
+        stray: share of the scan points that lie farther from the model than one person's skin from another's.
+    """
 
     s2m_mm: dict[str, float]
     seen: dict[str, float]
+    stray: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Arm:
+    """A hand's faces, wrist and forearm: the vertices, and the joints that move them."""
+
+    vertices: Bool[np.ndarray, " V"]
+    above: tuple[int, ...]
+    fingers: tuple[int, ...]
+
+    @property
+    def joints(self) -> tuple[int, ...]:
+        return self.above + self.fingers
 
 
 class FrameFitter:
@@ -106,7 +131,8 @@ class FrameFitter:
             "p95": float(np.percentile(mm, 95)),
             "under_1mm": float((mm < 1).mean()),
         }
-        return FrameMeasures(s2m_mm, seen_shares(points, closest, vertices, self.surface, self.hands))
+        shares = seen_shares(points, closest, vertices, self.surface, self.hands)
+        return FrameMeasures(s2m_mm, shares, float((mm > _STRAY_MM).mean()))
 
     def _back_terms(
         self, scan: ScanSurface, weight: float, asked: Bool[np.ndarray, " V"], first: bool,
@@ -119,27 +145,21 @@ class FrameFitter:
         sticks out of a hole in a hand may be what is missing.
         """
         body = weight * _BODY_BACK * (asked & ~self._hand_vertices)
-        hands = weight * _HAND_BACK * (asked & self._hand_vertices)
+        hands = weight * self.options.hand_back * (asked & self._hand_vertices)
         edge = STICKING_OUT if first else np.inf
         return [
             SurfaceToScan("body back", MODEL, self.surface, scan, body, distance),
             SurfaceToScan("hands back", MODEL, self.surface, scan, hands, distance, True, edge),
         ]
 
-    def _seen(
-        self, points: FramePoints, closest: ClosestPoints, vertices: np.ndarray
-    ) -> Bool[np.ndarray, " V"]:
-        """Vertices of which distances back can be asked: all but those of hands that are missing, and arms.
+    def _unseen(self, points: FramePoints, closest: ClosestPoints, vertices: np.ndarray) -> list[_Arm]:
+        """Arms of hands that are missing; their forearms may be missing too.
 
-        All skin of a hand that is missing lies outside of the scan: it would be drawn to the nearest thigh.
-        Its forearm may be missing too.
+        All skin of a missing hand lies outside of the scan: asked for distances back, it would be drawn to
+        the nearest thigh.
         """
-        asked = np.ones(self.model.vertex_count, dtype=bool)
         shares = seen_shares(points, closest, vertices, self.surface, self.hands)
-        for name, arm in self._arms.items():
-            if shares[f"{name}_seen"] <= _HAND_SEEN:
-                asked[arm] = False
-        return asked
+        return [arm for name, arm in self._arms.items() if shares[f"{name}_seen"] <= _HAND_SEEN]
 
     def _terms(
         self, points: FramePoints, vector: np.ndarray, start: FrameStart, step: AnnealingStep
@@ -154,10 +174,12 @@ class FrameFitter:
         terms: list[Term] = [
             ScanToSurface("scan", MODEL, self.surface, near.positions, shares, near.normals, distance)
         ]
+        unseen = [] if start.first else self._unseen(points, closest, vertices)
         if start.back is not None and (start.first or step.robust_scale <= _BACK_WITHIN):
             weight = float(shares.sum()) / self.model.vertex_count
-            everywhere = np.ones(self.model.vertex_count, dtype=bool)
-            asked = everywhere if start.first else self._seen(points, closest, vertices)
+            asked = np.ones(self.model.vertex_count, dtype=bool)
+            for arm in unseen:
+                asked[arm.vertices] = False
             terms += self._back_terms(start.back, weight, asked, start.first, distance)
         size = columns.shape.stop - columns.shape.start
         if size:
@@ -167,17 +189,28 @@ class FrameFitter:
             terms.append(GaussianPrior.isotropic("shape prior", columns.shape, middle, spread))
         held = size > 0 or start.first
         return terms + pose_terms(
-            self.model, columns, options, step.weight, previous=start.previous, body_prior=held
-        )
+            self.model, columns, options, step.weight,
+            previous=start.previous, body_prior=held, pull=self._pull(start, unseen),
+        )  # fmt: skip
+
+    def _pull(self, start: FrameStart, unseen: list[_Arm]) -> Float[np.ndarray, " K"]:
+        """Factors on the pull of every joint to its last pose."""
+        pull = np.zeros(self.model.joint_count) if start.first else np.ones(self.model.joint_count)
+        # Fingers even where the body is looked for anew: how a hand is closed does not change with that.
+        for arm in self._arms.values():
+            pull[list(arm.fingers)] = 1.0
+        for arm in unseen:
+            pull[list(arm.joints)] = _UNSEEN
+        return pull
 
 
-def _arm(model: SurfaceModel, name: str, hand: Bool[np.ndarray, " F"]) -> Bool[np.ndarray, " V"]:
-    """Vertices of a hand's faces, and of wrist and forearm: carried by the two joints above its fingers."""
-    wrist = int(model.parents[model.block(name).joints[0]])
+def _arm(model: SurfaceModel, name: str, hand: Bool[np.ndarray, " F"]) -> _Arm:
+    fingers = model.block(name).joints
+    wrist = int(model.parents[fingers[0]])
     above = [joint for joint in (wrist, int(model.parents[wrist])) if joint > 0]
-    arm = model.skinning_weights[:, above].sum(axis=1) > 0.5
-    arm[np.unique(model.faces[hand])] = True
-    return arm
+    vertices = model.skinning_weights[:, above].sum(axis=1) > 0.5
+    vertices[np.unique(model.faces[hand])] = True
+    return _Arm(vertices, tuple(above), fingers)
 
 
 def scan_surface(scan: Scan) -> ScanSurface | None:

@@ -55,7 +55,8 @@ class TrackingBounds:
     Attributes:
         doubtful_mm: mean distance of scan points to the model.
         again_mm: the same, for a second try from farther away.
-        failed_mm: the same, for a failure.
+        stray_share: share of the scan points over 6 cm from the model, likewise; a hand is 0.013 of a body.
+        failed_mm: mean distance, for a failure.
         fewest_points: a frame with fewer is not fitted.
         covered_share: share of the model's area with scan beside it, under which a frame has failed.
         doubtful_share: the same, for doubt.
@@ -63,6 +64,7 @@ class TrackingBounds:
 
     doubtful_mm: float = 4.0
     again_mm: float = 8.0
+    stray_share: float = 0.006
     failed_mm: float = 15.0
     fewest_points: int = 500
     covered_share: float = 0.2
@@ -86,6 +88,7 @@ class TrackingOptions:
         samples: points drawn on a scan.
         body_points: of those, how many off the hands are fitted to; on the hands all are.
         hand_weight: weight of a point on a hand; the body's are 1.
+        hand_back: weight of distances back from hands to the scan, as a share of the data's.
         minimum_cosine: pairs whose normals disagree more are not matched.
         template_frames: of the first stage, at most.
         shape_count: shape numbers of the first stage, at most those that the model has.
@@ -104,7 +107,8 @@ class TrackingOptions:
     predict: bool = True
     samples: int = 16_000
     body_points: int = 5_000
-    hand_weight: float = 2.0
+    hand_weight: float = 6.0
+    hand_back: float = 1.0
     minimum_cosine: float = 0.3
     template_frames: int = 50
     shape_count: int = 25

@@ -34,6 +34,7 @@ def pose_terms(
     *,
     previous: Float[np.ndarray, "K 3"] | None,
     body_prior: bool,
+    pull: Float[np.ndarray, " K"] | None = None,
 ) -> list[Term]:
     """All terms that speak of the pose alone.
 
@@ -44,6 +45,7 @@ def pose_terms(
         annealing: lambda_a.
         previous: pose of the last good frame, or None where there is none.
         body_prior: whether the body's pose is held to the recorded ones.
+        pull: (K,) factors on the zero-velocity term, by joint; None for one.
     """
     terms: list[Term] = []
     for block in model.pose_blocks:
@@ -58,8 +60,8 @@ def pose_terms(
             terms.append(PoseLimits(f"{block.name} limits", where, block.limits, _LIMIT))
     terms += hinge_terms(model, columns, HINGE_SIGMA)
     if options.velocity and previous is not None:
-        sigma = float(1 / np.sqrt(options.weights.velocity))
-        terms.append(GaussianPrior.isotropic("velocity", columns.pose, previous.ravel(), sigma))
+        stiffness = np.repeat(np.ones(len(previous)) if pull is None else pull, 3) * options.weights.velocity
+        terms.append(GaussianPrior("velocity", columns.pose, previous.ravel(), np.diag(stiffness)))
     return terms
 
 

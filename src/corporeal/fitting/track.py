@@ -160,9 +160,9 @@ class Tracker:
         vector, measures = self._tried(points, start, steps)
         if measures is not None and not _worth_another(measures, options.bounds):
             return vector, measures
-        # The retry leaves out the pull to the last pose: much time may have passed since.
+        # The retry leaves out the pull to the last pose, but of fingers: much time may have passed since.
         again, other = self._tried(
-            points, FrameStart(state.vector(), None, first=True, back=back), options.retry
+            points, FrameStart(state.vector(), previous, first=True, back=back), options.retry
         )
         if measures is None or (other is not None and _badness(other) < 0.8 * _badness(measures)):
             return again, other
@@ -203,9 +203,10 @@ def _worth_another(measures: FrameMeasures, bounds: TrackingBounds) -> bool:
     """Whether a try from farther away is called for.
 
     Not for every doubt: in a crouch another person's skin alone may lie over 4 mm off, and what comes from
-    farther away has limbs turned by a quarter of a circle to the frame before.
+    farther away has limbs turned by a quarter of a circle to the frame before. But for scan that the model is
+    nowhere near: an arm that was missing has come back somewhere else.
     """
-    far = not measures.s2m_mm["mean"] <= bounds.again_mm
+    far = not measures.s2m_mm["mean"] <= bounds.again_mm or measures.stray > bounds.stray_share
     return far or not measures.seen["model_seen"] >= bounds.doubtful_share
 
 

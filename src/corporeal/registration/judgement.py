@@ -129,7 +129,7 @@ class Bounds:
         """
         return cls(
             s2m_mean_mm=(2.5, 8.0),
-            s2m_p95_mm=(10.0, 30.0),
+            s2m_p95_mm=(15.0, 30.0),
             turned_share=(0.2, 0.5),
             misfit_rms_mm=(2.0, 12.0),
             misfit_share=(0.25, 0.8),
