@@ -36,9 +36,6 @@ VARIANTS = {
     "single Gaussian": TrackingOptions(hand_prior="gaussian"),
     "flat hands": TrackingOptions(hands="flat"),
     "six components": TrackingOptions(hands="components"),
-    "h6b1": TrackingOptions(hand_weight=6.0, hand_back=1.0),
-    "h12b2": TrackingOptions(hand_weight=12.0, hand_back=2.0),
-    "h4b.6": TrackingOptions(hand_weight=4.0, hand_back=0.6),
     "no prediction": TrackingOptions(predict=False),
     "first scale 3 cm": TrackingOptions(
         annealing=(AnnealingStep(100.0, 0.03, 4), AnnealingStep(500.0, 0.01, 5)),

@@ -7,16 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from corporeal.fitting.arm_search import ArmSearch
 from corporeal.fitting.frame_data import FramePoints, HandFaces, chosen_points, seen_shares
 from corporeal.fitting.options import AnnealingStep, TrackingOptions
 from corporeal.fitting.pose_terms import pose_terms, tracking_subspace
 from corporeal.geometry.closest_points import ClosestPoints
+from corporeal.model.jacobian import ParameterColumns
 from corporeal.model.surface_model import SurfaceModel
 from corporeal.scans.scan import Scan
 from corporeal.solve.dogleg import DoglegOptions, Solution, solve, solve_within
 from corporeal.solve.problem import Problem, State, Term
 from corporeal.terms.distance import DistanceOptions
 from corporeal.terms.gaussian_prior import GaussianPrior
+from corporeal.terms.hinges import HINGE_SIGMA, hinge_terms
 from corporeal.terms.model_fields import MODEL, ModelFields
 from corporeal.terms.scan_to_surface import MovingSurface, ScanToSurface
 from corporeal.terms.surface_to_scan import STICKING_OUT, ScanSurface, SurfaceToScan
@@ -79,6 +82,7 @@ class _Arm:
     vertices: Bool[np.ndarray, " V"]
     above: tuple[int, ...]
     fingers: tuple[int, ...]
+    search: ArmSearch | None
 
     @property
     def joints(self) -> tuple[int, ...]:
@@ -97,7 +101,9 @@ class FrameFitter:
         self.on_hands = self.hands.any_hand(len(model.faces))
         self._hand_vertices = np.zeros(model.vertex_count, dtype=bool)
         self._hand_vertices[np.unique(model.faces[self.on_hands])] = True
-        self._arms = {name: _arm(model, name, mask) for name, mask in self.hands.masks.items()}
+        self._arms = {
+            name: _arm(model, self.fields.columns, name, mask) for name, mask in self.hands.masks.items()
+        }
         self._subspace = tracking_subspace(model, self.fields.columns, options)
 
     def fit(self, points: FramePoints, start: FrameStart, steps: tuple[AnnealingStep, ...]) -> Solution:
@@ -133,6 +139,16 @@ class FrameFitter:
         }
         shares = seen_shares(points, closest, vertices, self.surface, self.hands)
         return FrameMeasures(s2m_mm, shares, float((mm > _STRAY_MM).mean()))
+
+    def arms_sought(self, points: FramePoints, vector: Float[np.ndarray, " Q"]) -> Float[np.ndarray, " Q"]:
+        """The parameters with arms of missing hands laid to where the scan has points left over."""
+        vertices = self.fields.evaluated(vector).vertices
+        closest = self.surface.closest(vertices, points.positions, None)
+        stray = points.positions[1e3 * closest.distances > _STRAY_MM]
+        for arm in self._unseen(points, closest, vertices) if len(stray) else ():
+            if arm.search is not None:
+                vector = arm.search.nearest(self.fields, self.surface, vector, stray)
+        return vector
 
     def _back_terms(
         self, scan: ScanSurface, weight: float, asked: Bool[np.ndarray, " V"], first: bool,
@@ -204,13 +220,15 @@ class FrameFitter:
         return pull
 
 
-def _arm(model: SurfaceModel, name: str, hand: Bool[np.ndarray, " F"]) -> _Arm:
+def _arm(model: SurfaceModel, columns: ParameterColumns, name: str, hand: Bool[np.ndarray, " F"]) -> _Arm:
     fingers = model.block(name).joints
     wrist = int(model.parents[fingers[0]])
     above = [joint for joint in (wrist, int(model.parents[wrist])) if joint > 0]
     vertices = model.skinning_weights[:, above].sum(axis=1) > 0.5
     vertices[np.unique(model.faces[hand])] = True
-    return _Arm(vertices, tuple(above), fingers)
+    hinges = hinge_terms(model, columns, HINGE_SIGMA)
+    search = ArmSearch.below(model, above[1], hinges[0]) if hinges and len(above) == 2 else None
+    return _Arm(vertices, tuple(above), fingers, search)
 
 
 def scan_surface(scan: Scan) -> ScanSurface | None:

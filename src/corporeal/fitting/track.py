@@ -161,9 +161,10 @@ class Tracker:
         if measures is not None and not _worth_another(measures, options.bounds):
             return vector, measures
         # The retry leaves out the pull to the last pose, but of fingers: much time may have passed since.
-        again, other = self._tried(
-            points, FrameStart(state.vector(), previous, first=True, back=back), options.retry
-        )
+        begin = state.vector()
+        if measures is not None and measures.stray > options.bounds.stray_share:
+            begin = self._fitter.arms_sought(points, vector)
+        again, other = self._tried(points, FrameStart(begin, previous, first=True, back=back), options.retry)
         if measures is None or (other is not None and _badness(other) < 0.8 * _badness(measures)):
             return again, other
         return vector, measures
