@@ -12,6 +12,7 @@ from corporeal.model.files import open_model
 from corporeal.model.jacobian import evaluate
 from corporeal.scans.scan import Scan, Unit
 
+OPTIONS = TrackingOptions(hand_back=0.3)
 WIDE, NARROW = AnnealingStep(100.0, 0.1, 4), AnnealingStep(500.0, 0.01, 5)
 
 
@@ -20,7 +21,7 @@ def without_left_hand():
     """A body with hanging arms, points on all of it but the left hand, and its surface likewise."""
     body = open_model("body")
     personal = personal_model(body, body.template)
-    fitter = FrameFitter(personal, TrackingOptions())
+    fitter = FrameFitter(personal, OPTIONS)
     pose = np.zeros((body.joint_count, 3))
     pose[body.joint_names.index("left_shoulder"), 2] = -1.2
     pose[body.joint_names.index("right_shoulder"), 2] = 1.2
@@ -39,7 +40,8 @@ def without_left_hand():
 def _weights(without_left_hand, step, *, first):
     """Weights of the two terms together; of the arms' vertices among them."""
     fitter, points, scan, vector = without_left_hand
-    start = FrameStart(vector, None, first=first, back=scan_surface(scan))
+    previous = None if first else vector[3:].reshape(-1, 3)
+    start = FrameStart(vector, previous, first=first, back=scan_surface(scan))
     terms = [term for term in fitter._terms(points, vector, start, step) if "back" in term.name]
     if not terms:
         return None
@@ -56,8 +58,7 @@ def test_a_missing_hand_is_not_asked_nor_its_forearm(without_left_hand):
         forearm = model.skinning_weights[:, model.joint_names.index(f"{side}_elbow")] > 0.6
         assert ((weights[forearm] > 0) == asked).all()
     torso = model.skinning_weights[:, model.joint_names.index("spine2")] > 0.6
-    share = TrackingOptions().hand_back
-    np.testing.assert_allclose(weights[hands["right_hand"]], share * weights[torso].mean())
+    np.testing.assert_allclose(weights[hands["right_hand"]], OPTIONS.hand_back * weights[torso].mean())
 
 
 def test_nothing_is_asked_from_afar(without_left_hand):

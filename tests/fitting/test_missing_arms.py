@@ -64,7 +64,8 @@ def test_the_search_lays_the_forearm_to_points_and_moves_nothing_else(person):
     _, wanted, _ = _posed(person, 95, turn=-40)
     arm, surface = _arm(person), MovingSurface(person.template, person.faces)
     vector = np.concatenate([np.zeros(3), pose.ravel()])
-    found = _search(person).nearest(fields, surface, vector, wanted[arm][::7])
+    found, *others = _search(person).nearest(fields, surface, vector, wanted[arm][::7])
+    assert len(others) <= 2
     vertices = fields.evaluated(found).vertices
     assert np.linalg.norm(vertices - wanted, axis=1)[arm].mean() < 0.03
     turned = {person.joint_names.index(f"left_{name}") for name in ("shoulder", "elbow")}

@@ -18,6 +18,10 @@ from corporeal.terms.scan_to_surface import MovingSurface
 _TURNS, _BENDS = np.arange(-100, 101, 20), (0, 20, 45, 70, 95, 120)
 # A point farther than this from an arm speaks against it no more, metres.
 _FARTHEST = 0.15
+# Of the distance that the points have before, the most that a pose may leave to be worth trying.
+_LEFT = 0.8
+# So many poses are worth trying, which differ by more than so many degrees of turn and bend together.
+_TRIED, _APART = 3, 45
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,24 +59,32 @@ class ArmSearch:
         surface: MovingSurface,
         vector: Float[np.ndarray, " Q"],
         points: Float[np.ndarray, "n 3"],
-    ) -> Float[np.ndarray, " Q"]:
-        """The parameters with the arm in the pose that lies nearest to points; all else stays.
+    ) -> list[Float[np.ndarray, " Q"]]:
+        """The parameters with the arm in the poses that lie nearest to points, the nearest first.
+
+        Several, since the nearest may be one from which no descent leads on; none where none is much nearer.
 
         Args:
             fields: of the model.
             surface: of the model.
-            vector: parameters that fit what else is seen.
+            vector: parameters that fit what else is seen; all but the arm's stay.
             points: metres, that no part of the model explains yet.
         """
-        best, least = vector, self._distance(fields, surface, vector, points)
-        for turn, bend in itertools.product(np.deg2rad(_TURNS), np.deg2rad(_BENDS)):
+        bound = _LEFT * self._distance(fields, surface, vector, points)
+        candidates = []
+        for turn, bend in itertools.product(_TURNS, _BENDS):
             posed = vector.copy()
             pose = posed[fields.columns.pose].reshape(-1, 3)
-            pose[[self.shoulder, self.elbow]] = self._turned(pose, float(turn), float(bend))
+            pose[[self.shoulder, self.elbow]] = self._turned(pose, np.deg2rad(turn), np.deg2rad(bend))
             distance = self._distance(fields, surface, posed, points)
-            if distance < least:
-                best, least = posed, distance
-        return best
+            if distance < bound:
+                candidates.append((distance, turn, bend, posed))
+        kept: list[tuple] = []
+        for one in sorted(candidates, key=lambda candidate: candidate[0]):
+            apart = [abs(one[1] - other[1]) + abs(one[2] - other[2]) for other in kept]
+            if len(kept) < _TRIED and all(degrees > _APART for degrees in apart):
+                kept.append(one)
+        return [posed for *_, posed in kept]
 
     def _turned(self, pose: Float[np.ndarray, "K 3"], turn: float, bend: float) -> Float[np.ndarray, "2 3"]:
         """Axis-angles of shoulder and elbow with the one turned further and the other bent so far."""

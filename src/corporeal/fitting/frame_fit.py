@@ -45,8 +45,8 @@ class FrameStart:
     Attributes:
         vector: (Q,) parameters.
         previous: pose of the last good frame for the zero-velocity term, or None.
-        first: whether only a rough pose is known: distances back are asked in all solves, of all hands, and
-            the zero-velocity term is of fingers alone.
+        first: whether only a rough pose is known: distances back are asked in all solves, and the
+            zero-velocity term is of fingers and of what is not seen alone.
         back: the scan's surface, for distances both ways; or None.
         shape: (s,) that of the frames before, ``shapes`` of them, for the prior of equation 12; or None.
         shapes: how many frames have told the shape.
@@ -72,7 +72,12 @@ class FrameMeasures:
 
     s2m_mm: dict[str, float]
     seen: dict[str, float]
-    stray: float = 0.0
+    stray: float
+
+    @property
+    def signals(self) -> dict[str, float]:
+        """All shares in one."""
+        return self.seen | {"stray": self.stray}
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,15 +145,26 @@ class FrameFitter:
         shares = seen_shares(points, closest, vertices, self.surface, self.hands)
         return FrameMeasures(s2m_mm, shares, float((mm > _STRAY_MM).mean()))
 
-    def arms_sought(self, points: FramePoints, vector: Float[np.ndarray, " Q"]) -> Float[np.ndarray, " Q"]:
-        """The parameters with arms of missing hands laid to where the scan has points left over."""
+    def arms_sought(
+        self, points: FramePoints, vector: Float[np.ndarray, " Q"]
+    ) -> list[Float[np.ndarray, " Q"]]:
+        """The parameters with an arm of a missing hand laid to where the scan has points left over.
+
+        Several poses of one arm, where one can be laid so, the likeliest first; or nothing.
+
+        Args:
+            points: of the frame.
+            vector: parameters that fit the rest of the body.
+        """
         vertices = self.fields.evaluated(vector).vertices
         closest = self.surface.closest(vertices, points.positions, None)
         stray = points.positions[1e3 * closest.distances > _STRAY_MM]
         for arm in self._unseen(points, closest, vertices) if len(stray) else ():
             if arm.search is not None:
-                vector = arm.search.nearest(self.fields, self.surface, vector, stray)
-        return vector
+                found = arm.search.nearest(self.fields, self.surface, vector, stray)
+                if found:
+                    return found
+        return []
 
     def _back_terms(
         self, scan: ScanSurface, weight: float, asked: Bool[np.ndarray, " V"], first: bool,
@@ -190,9 +206,10 @@ class FrameFitter:
         terms: list[Term] = [
             ScanToSurface("scan", MODEL, self.surface, near.positions, shares, near.normals, distance)
         ]
-        unseen = [] if start.first else self._unseen(points, closest, vertices)
+        unseen = [] if start.previous is None else self._unseen(points, closest, vertices)
         if start.back is not None and (start.first or step.robust_scale <= _BACK_WITHIN):
-            weight = float(shares.sum()) / self.model.vertex_count
+            # Of all points, as if those on hands weighed no more than others.
+            weight = float(np.minimum(shares, 1.0).sum()) / self.model.vertex_count
             asked = np.ones(self.model.vertex_count, dtype=bool)
             for arm in unseen:
                 asked[arm.vertices] = False

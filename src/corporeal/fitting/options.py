@@ -55,7 +55,8 @@ class TrackingBounds:
     Attributes:
         doubtful_mm: mean distance of scan points to the model.
         again_mm: the same, for a second try from farther away.
-        stray_share: share of the scan points over 6 cm from the model, likewise; a hand is 0.013 of a body.
+        stray_share: share of the scan points over 6 cm from the model, for doubt, and for looking for an arm
+            that was missing; a hand is 0.013 of a body.
         failed_mm: mean distance, for a failure.
         fewest_points: a frame with fewer is not fitted.
         covered_share: share of the model's area with scan beside it, under which a frame has failed.
@@ -108,7 +109,7 @@ class TrackingOptions:
     samples: int = 16_000
     body_points: int = 5_000
     hand_weight: float = 6.0
-    hand_back: float = 1.0
+    hand_back: float = 1.5
     minimum_cosine: float = 0.3
     template_frames: int = 50
     shape_count: int = 25

@@ -82,7 +82,8 @@ class TrackedFrame:
         translation: (3,) metres; likewise.
         s2m_mm: scan to model: mean, median, p95 and under_1mm; None where nothing was fitted.
         seconds: by step, and "total".
-        signals: shares of the model and of each hand that the scan confirms; near zero where it is missing.
+        signals: shares of the model and of each hand that the scan confirms, near zero where it is missing;
+            and of the scan that is "stray", over 6 cm from the model.
     """
 
     name: str
@@ -145,7 +146,7 @@ class Tracker:
         self.state = self.state.after(parameters.pose, parameters.translation)
         return TrackedFrame(
             name, status, verdict, parameters.pose, parameters.translation, measures.s2m_mm, seconds,
-            measures.seen,
+            measures.signals,
         )  # fmt: skip
 
     def _fitted(
@@ -158,16 +159,32 @@ class Tracker:
         start = FrameStart(vector, previous, first=not state.fitted, back=back)
         steps = options.annealing if state.fitted else options.first
         vector, measures = self._tried(points, start, steps)
-        if measures is not None and not _worth_another(measures, options.bounds):
-            return vector, measures
-        # The retry leaves out the pull to the last pose, but of fingers: much time may have passed since.
-        begin = state.vector()
-        if measures is not None and measures.stray > options.bounds.stray_share:
-            begin = self._fitter.arms_sought(points, vector)
-        again, other = self._tried(points, FrameStart(begin, previous, first=True, back=back), options.retry)
-        if measures is None or (other is not None and _badness(other) < 0.8 * _badness(measures)):
-            return again, other
+        # A second try is not pulled to the last pose, since much time may have passed; but its fingers, and
+        # what is not seen, to where it begins.
+        for begin in self._elsewhere(points, vector, measures):
+            held = self._fitter.fields.parameters(begin).pose if state.fitted else None
+            again, other = self._tried(points, FrameStart(begin, held, first=True, back=back), options.retry)
+            if measures is None or (other is not None and _better(other, measures)):
+                vector, measures = again, other
+                if other is not None and other.stray <= options.bounds.stray_share:
+                    break
         return vector, measures
+
+    def _elsewhere(
+        self, points: FramePoints, vector: np.ndarray, measures: FrameMeasures | None
+    ) -> list[np.ndarray]:
+        """Where second tries begin; nothing where none is called for.
+
+        Not for every doubt: in a crouch another person's skin alone may lie over 4 mm off, and what comes
+        from farther away has limbs turned by a quarter of a circle to the frame before. But for scan that the
+        model is nowhere near while an arm is missing: it has come back somewhere else.
+        """
+        bounds = self.options.bounds
+        if measures is None or not measures.seen["model_seen"] >= bounds.doubtful_share:
+            return [self.state.vector()]
+        sought = self._fitter.arms_sought(points, vector) if measures.stray > bounds.stray_share else []
+        far = not measures.s2m_mm["mean"] <= bounds.again_mm
+        return [self.state.vector()] if far and not sought else sought
 
     def _tried(
         self, points: FramePoints, start: FrameStart, steps: tuple
@@ -182,7 +199,7 @@ class Tracker:
         self, name: str, reason: str, seconds: dict[str, float], measures: FrameMeasures | None = None
     ) -> TrackedFrame:
         s2m_mm = None if measures is None else measures.s2m_mm
-        signals = {} if measures is None else measures.seen
+        signals = {} if measures is None else measures.signals
         state = self.state = self.state.stopped()
         return TrackedFrame(name, "failed", reason, state.pose, state.translation, s2m_mm, seconds, signals)
 
@@ -196,19 +213,16 @@ def judged(measures: FrameMeasures, bounds: TrackingBounds) -> tuple[Status, str
         return "failed", f"track lost: {far}"
     if not seen >= bounds.covered_share:
         return "failed", f"track lost: {unseen}"
+    left = f"{measures.stray:.1%} of the scan lies over 6 cm from the model"
     reasons = [far] * (mean > bounds.doubtful_mm) + [unseen] * (seen < bounds.doubtful_share)
+    reasons += [left] * (measures.stray > bounds.stray_share)
     return ("doubtful", "; ".join(reasons)) if reasons else ("ok", "")
 
 
-def _worth_another(measures: FrameMeasures, bounds: TrackingBounds) -> bool:
-    """Whether a try from farther away is called for.
-
-    Not for every doubt: in a crouch another person's skin alone may lie over 4 mm off, and what comes from
-    farther away has limbs turned by a quarter of a circle to the frame before. But for scan that the model is
-    nowhere near: an arm that was missing has come back somewhere else.
-    """
-    far = not measures.s2m_mm["mean"] <= bounds.again_mm or measures.stray > bounds.stray_share
-    return far or not measures.seen["model_seen"] >= bounds.doubtful_share
+def _better(other: FrameMeasures, measures: FrameMeasures) -> bool:
+    """Whether a further try is clearly better, or has found what was left over at no cost."""
+    found = other.stray < 0.5 * measures.stray and other.s2m_mm["mean"] <= measures.s2m_mm["mean"]
+    return found or _badness(other) < 0.8 * _badness(measures)
 
 
 def _badness(measures: FrameMeasures) -> float:
