@@ -25,6 +25,8 @@ from corporeal.scans.scan import Scan, Unit
 
 OUTPUT = Path(__file__).resolve().parents[1] / "src/corporeal/model/open_models/face_detector.npz"
 _CANDIDATES = 40
+# Of a head's shape numbers: 25 of identity, then expressions, of which the first 10 are drawn.
+_SPREAD = np.concatenate([np.ones(25), np.full(10, 0.5), np.zeros(30)])
 
 
 def sample(model: SurfaceModel, generator: np.random.Generator) -> Evaluated:
@@ -32,10 +34,7 @@ def sample(model: SurfaceModel, generator: np.random.Generator) -> Evaluated:
     pose = np.zeros((model.joint_count, 3))
     pose[1] = 0.1 * generator.normal(size=3)
     pose[2, 0] = generator.uniform(0, 0.2)
-    identity = model.shape_count - 10
-    shape = generator.normal(size=model.shape_count) * np.where(
-        np.arange(model.shape_count) < identity, 1, 0.5
-    )
+    shape = _SPREAD[: model.shape_count] * generator.normal(size=model.shape_count)
     return evaluate(model, shape, pose, np.zeros(3))
 
 

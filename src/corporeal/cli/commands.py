@@ -11,12 +11,12 @@ import tyro
 
 @dataclass(frozen=True)
 class Register:
-    """Register raw hand scans: no landmarks to place, no options needed.
+    """Register raw scans of hands, people or heads: no landmarks to place.
 
     Attributes:
         scans: scan files (PLY, OBJ, STL, OFF, GLB), meshes or point clouds; or the folder of a session.
         output: folder that gets one folder of results per scan, or the records of a session.
-        model: "hand" for the open hand in the box, or a model file.
+        model: "hand", "body" or "head" for the open models in the box, or a model file.
         side: which hand it is; auto finds out.
         unit: unit of the files; auto guesses from the size, free estimates the scale of photographed scans.
         landmarks: JSON or CSV with landmarks of the one scan, in its own unit; then no detector is asked.
@@ -54,7 +54,7 @@ class Info:
     """Say what a file holds: a model (ours or an official one) or a scan.
 
     Attributes:
-        file: model file, scan file, or the name of a model in the box ("hand").
+        file: model file, scan file, or the name of a model in the box ("hand", "body", "head").
         json: also write the machine-readable result to this file.
     """
 

@@ -52,7 +52,7 @@ def pose_terms(
         where = block_columns(block, columns)
         if is_hand(block):
             terms += _hand_terms(block, where, options, options.weights.hand_pose / annealing)
-        elif len(block.joints) == 1:
+        elif len(block.joints) == 1 and block.name != "body":
             terms.append(GaussianPrior.isotropic(f"{block.name} prior", where, block.mean, _LONE_JOINT))
         elif body_prior:
             terms.append(_body_term(block, where, options.weights.body_pose / annealing))

@@ -22,7 +22,7 @@ from corporeal.scans.virtual_cameras import (
 _SIZE = 320
 # A view agrees when half of its landmarks lie within this share of the picture.
 _TOLERANCE_COARSE, _TOLERANCE_FINE = 0.04, 0.02
-_COARSE_VIEWS, _FEWEST_COARSE, _FEWEST_VIEWS = 12, 3, 5
+_COARSE_VIEWS, _FEWEST_COARSE, _FEWEST_VIEWS, _FILL_COARSE = 12, 3, 5, 0.9
 # Turns about the head's axis and tilts from the face's front, degrees.
 _TURNS, _TILTS = (-36.0, -18.0, 0.0, 18.0, 36.0), (-14.0, 4.0, 20.0)
 # What is framed then: so many times the landmarks' greatest distance from their middle.
@@ -56,37 +56,38 @@ class FaceLandmarks:
 def find_face_landmarks(scan: Scan, detector: FaceDetector) -> FaceLandmarks:
     """Find the landmarks of the one face in a scan, in whatever direction it looks.
 
-    A ring of views round every axis that may be up; then finer views frame the face from its front.
+    A ring of views round each axis that may be up; where one sees a face, finer ones frame it.
 
     Args:
         scan: mesh or point cloud of a head or bust, in metres (a provisional scale will do).
         detector: of faces.
     """
-    subject = Subject.of_scan(scan)
-    rough, best, tried = None, 0, 0
+    subject, tried, reason = Subject.of_scan(scan), 0, ""
     for up in upright_candidates(subject.outline):
-        directions = ring(up, _COARSE_VIEWS, (0.0,))
-        cameras = cameras_around(subject.outline, directions, up, size=_SIZE, fill=0.9)
-        found = _triangulated(*_seen(subject, cameras, detector), _TOLERANCE_COARSE)
+        cameras = cameras_around(
+            subject.outline, ring(up, _COARSE_VIEWS, (0.0,)), up, size=_SIZE, fill=_FILL_COARSE
+        )
+        rough = _triangulated(*_seen(subject, cameras, detector), _TOLERANCE_COARSE)
         tried += len(cameras)
-        agree = 0 if found is None else int(found.agreeing.sum())
-        if found is not None and agree >= _FEWEST_COARSE and agree > best and _axes(found.points)[0] @ up > 0:
-            rough, best = found, agree
-            break
-    if rough is None:
-        return FaceLandmarks(False, f"the detector saw no face in {tried} views", views_tried=tried)
-    cameras = _fine_cameras(subject.outline, rough.points)
-    kept, pixels = _seen(subject, cameras, detector)
-    tried += len(cameras)
-    result = _triangulated(kept, pixels, _TOLERANCE_FINE)
-    agree = 0 if result is None else int(result.agreeing.sum())
-    if result is None or agree < _FEWEST_VIEWS:
+        if rough is None or rough.agreeing.sum() < _FEWEST_COARSE or _axes(rough.points)[0] @ up <= 0:
+            continue
+        cameras = _fine_cameras(subject.outline, rough.points)
+        kept, pixels = _seen(subject, cameras, detector)
+        tried += len(cameras)
+        result = _triangulated(kept, pixels, _TOLERANCE_FINE)
+        agree = 0 if result is None else int(result.agreeing.sum())
+        if result is not None and agree >= _FEWEST_VIEWS:
+            spread = spread_in_metres(kept, result)
+            return FaceLandmarks(
+                True,
+                "views agree",
+                points=result.points,
+                spread_m=spread,
+                views_used=agree,
+                views_tried=tried,
+            )
         reason = f"virtual views disagree about the face ({agree} of {len(cameras)} agree)"
-        return FaceLandmarks(False, reason, views_tried=tried)
-    spread = spread_in_metres(kept, result)
-    return FaceLandmarks(
-        True, "views agree", points=result.points, spread_m=spread, views_used=agree, views_tried=tried
-    )
+    return FaceLandmarks(False, reason or f"the detector saw no face in {tried} views", views_tried=tried)
 
 
 def _axes(points: Float[np.ndarray, "51 3"]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:

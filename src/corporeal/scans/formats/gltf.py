@@ -1,7 +1,7 @@
 """glTF 2.0, as GLB or as JSON with its buffers: all meshes of the scene, at their places, as one.
 
-trimesh reads the buffers and the scene; this file refuses before what trimesh would answer with zeros
-(compressed or sparse positions) or with memory that no file can fill.
+trimesh reads the buffers and the scene. What Draco compressed is unpacked first; refused is what trimesh
+would answer with zeros (otherwise compressed or sparse positions) or with memory that no file can fill.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def parse_glb(data: bytes) -> RawScan:
     """The meshes or points of a GLB file.
 
     Raises:
-        ValueError: no GLB of version 2, compressed geometry, or counts that the file cannot hold.
+        ValueError: no GLB of version 2, compressed geometry but Draco's, counts that the file cannot hold.
     """
     if len(data) < 20 or data[:4] != _GLB_MAGIC:
         raise ValueError("expected a GLB: 'glTF' as the first four bytes")
@@ -55,7 +55,7 @@ def parse_gltf(data: bytes, buffers: Mapping[str, bytes]) -> RawScan:
         buffers: what the files hold that ``outside_buffers`` names, by their URI.
 
     Raises:
-        ValueError: no glTF 2.0, compressed geometry, or counts that the buffers cannot hold.
+        ValueError: no glTF 2.0, compressed geometry but Draco's, or counts that the buffers cannot hold.
     """
     return _loaded(data, "gltf", _document(data), buffers)
 
