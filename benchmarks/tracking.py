@@ -7,6 +7,7 @@ Per sequence and over all frames:
 
 body      distance of the template's ``placed`` vertices from their true places, mean, mm; frames that failed
           are left out, and counted as failed
+there     the same without the hands and forearms that are missing
 hands     the same of the vertices that the scanner saw on hands that are not missing (nor their forearm)
 whole     the same of all placed vertices of those hands, seen or not
 gone      the same of all placed vertices of missing hands: how far a guess is off
@@ -44,7 +45,7 @@ WELL_AGAIN = 1.5
 AFTER = 10
 # Metres within a frame of 1/60 s: recordings have flaws in which a limb is elsewhere at once.
 JUMP = 0.12
-COLUMNS = ("body", "hands", "whole", "gone", "s2m")
+COLUMNS = ("body", "there", "hands", "whole", "gone", "s2m")
 
 
 @dataclass(eq=False)
@@ -97,12 +98,27 @@ class Truth:
         blocks = {block.name: list(block.joints) for block in model.pose_blocks}
         self.hands = {hand: model.skinning_weights[:, blocks[hand]].sum(axis=1) > 0.5 for hand in HANDS}
         self.fingers = [joint for hand in HANDS for joint in blocks[hand]]
+        self._parts = {
+            f"{hand[:-5]}_forearm": self.hands[hand] | self._carried_by(f"{hand[:-5]}_elbow")
+            for hand in HANDS
+        } | self.hands
 
     def missing(self, name: str) -> set[str]:
         """Hands that were taken away, with their forearm or alone."""
         with np.load(self._folder / f"{name}.npz", allow_pickle=False) as truth:
             gone = {str(part) for part in truth["missing"]}
         return {hand for hand in HANDS if hand in gone or hand.replace("hand", "forearm") in gone}
+
+    def lost(self, name: str) -> np.ndarray:
+        """(V,) vertices on parts that were taken away."""
+        with np.load(self._folder / f"{name}.npz", allow_pickle=False) as truth:
+            gone = [str(part) for part in truth["missing"]]
+        return np.logical_or.reduce(
+            [np.zeros(self._model.vertex_count, bool), *(self._parts[p] for p in gone)]
+        )
+
+    def _carried_by(self, joint: str) -> np.ndarray:
+        return self._model.skinning_weights[:, self._model.joint_names.index(joint)] > 0.5
 
     def joints(self, name: str) -> np.ndarray:
         """(K, 3) true places, metres."""
@@ -159,6 +175,7 @@ def _add_distances(
             continue
         mm, placed, seen = truth.distances(record)
         score.distances["body"].append(float(mm[placed].mean()))
+        score.distances["there"].append(float(mm[placed & ~truth.lost(frame.name)].mean()))
         for hand, mask in truth.hands.items():
             whole = float(mm[mask & placed].mean())
             score.distances["gone" if hand in missing[number] else "whole"].append(whole)
