@@ -16,8 +16,9 @@ turn      the largest turn of a finger joint to the next frame, degrees: the ang
           where the recorded motion itself jumps, a joint by more than 12 cm within a frame
 back      frames until a hand that was missing is well again, the longest: the first frame after its return in
           which the distance of its placed vertices is at most 1.5 times its mean (over frames in which it
-          is visible, but not within ten after a return) counts as 0, 1, ...; "never" where the sequence
-          ends, or the next loss begins, before
+          is visible, but not within ten after a return), or 1.5 times that in the last frame before the
+          loss if it was farther off then, counts as 0, 1, ...; "never" where the sequence ends, or the next
+          loss begins, before
 s/frame   mean time of a frame, reading included; the template's is not in it
 
 Distances are taken in every N-th frame; turns in all; recovery in all that follow a return.
@@ -223,6 +224,9 @@ def frames_to_recover(
     truth: Truth, records: list[FrameRecord], missing: list[set[str]], hand: str, returned: int, usual: float
 ) -> int | None:
     """Frames after a return until the hand is well again; None where the end or the next loss comes first."""
+    before = next((k for k in range(returned - 1, -1, -1) if hand not in missing[k]), None)
+    if before is not None:
+        usual = np.fmax(usual, truth.hand(records[before], hand))
     for number in range(returned, len(records)):
         if hand in missing[number]:
             return None
