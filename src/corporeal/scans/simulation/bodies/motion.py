@@ -64,7 +64,7 @@ def _stretch(pose: Float[np.ndarray, "T 22 3"], frames: int, generator: np.rando
     count, joints = pose.shape[:2]
     before, after = (Rotation.from_rotvec(part.reshape(-1, 3)) for part in (pose[:-1], pose[1:]))
     turns = (before.inv() * after).magnitude().reshape(count - 1, joints)
-    ends = [*(np.flatnonzero(turns.max(axis=1) > _SLIP) + 1), count]
+    ends = [*(np.flatnonzero(turns.max(axis=1) > _SLIP) + 1).tolist(), count]
     stretches = [slice(first, last) for first, last in zip([0, *ends[:-1]], ends, strict=True)]
     lengths = np.array([part.stop - part.start for part in stretches])
     enough = np.flatnonzero(lengths >= min(frames, lengths.max()))
