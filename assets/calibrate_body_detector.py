@@ -67,12 +67,12 @@ def calibrate(model: SurfaceModel, count: int, seed: int) -> tuple[LandmarkSet, 
     return LandmarkSet(names, sp.csr_matrix(weights), model.vertex_count), residuals
 
 
-def symmetric(model: SurfaceModel) -> SurfaceModel:
-    """The model with its set averaged with its mirror image: the samples' noise is not the body's shape."""
-    ours, image = model.landmarks[SET_NAME], mirror_model(model).landmarks[SET_NAME]
+def symmetric(model: SurfaceModel, name: str) -> SurfaceModel:
+    """The model with a set averaged with its mirror image: the samples' noise is not the body's shape."""
+    ours, image = model.landmarks[name], mirror_model(model).landmarks[name]
     weights = sp.csr_matrix(0.5 * (ours.weights + image.weights))
     averaged = LandmarkSet(ours.names, weights, model.vertex_count)
-    return model.replace(landmarks={**model.landmarks, SET_NAME: averaged})
+    return model.replace(landmarks={**model.landmarks, name: averaged})
 
 
 def main() -> None:
@@ -84,7 +84,7 @@ def main() -> None:
     options = parser.parse_args()
     model = load_model(options.body)
     landmark_set, residuals = calibrate(model, options.samples, seed=0)
-    calibrated = symmetric(model.replace(landmarks={**model.landmarks, SET_NAME: landmark_set}))
+    calibrated = symmetric(model.replace(landmarks={**model.landmarks, SET_NAME: landmark_set}), SET_NAME)
     save_model(calibrated, options.body, precision="float16")
     for name, residual in zip(BODY_NAMES, residuals, strict=True):
         print(f"{name:20} median residual {1e3 * residual:.1f} mm")

@@ -12,12 +12,14 @@ from pathlib import Path
 
 import numpy as np
 import scipy.sparse as sp
+from calibrate_body_detector import symmetric
 from calibrate_detector import fit_rows
 
 from corporeal.geometry.normals import vertex_normals
 from corporeal.model.files import open_model
-from corporeal.model.heads import HEAD_PARTS, head_of
+from corporeal.model.heads import DETECTED, HEAD_PARTS, head_of
 from corporeal.model.jacobian import Evaluated, evaluate
+from corporeal.model.landmarks import LandmarkSet
 from corporeal.model.surface_model import SurfaceModel
 from corporeal.scans.face_detector import FACE_NAMES, FaceDetector
 from corporeal.scans.face_landmarks import find_face_landmarks
@@ -65,11 +67,10 @@ def main() -> None:
     body = open_model("body")
     head = head_of(body)
     rows, residuals = calibrate(head, options.samples, seed=0)
-    other = [
-        FACE_NAMES.index(name.replace("left", "RIGHT").replace("right", "left").replace("RIGHT", "right"))
-        for name in FACE_NAMES
-    ]
-    table = sp.csr_matrix(0.5 * (rows + rows[other][:, head.mirror_vertices]))
+    over_joints = sp.csr_matrix((len(rows), head.joint_count))
+    weights = sp.hstack([sp.csr_matrix(rows), over_joints]).tocsr()
+    seen = LandmarkSet(FACE_NAMES, weights, head.vertex_count)
+    table = symmetric(head.replace(landmarks={DETECTED: seen}), DETECTED).landmarks[DETECTED].weights
     kept = np.unique(np.concatenate([body.parts[part] for part in HEAD_PARTS]))
     np.savez_compressed(
         options.output,

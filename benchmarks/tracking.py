@@ -106,17 +106,17 @@ class Truth:
 
     def missing(self, name: str) -> set[str]:
         """Hands that were taken away, with their forearm or alone."""
-        with np.load(self._folder / f"{name}.npz", allow_pickle=False) as truth:
-            gone = {str(part) for part in truth["missing"]}
+        gone = self._gone(name)
         return {hand for hand in HANDS if hand in gone or hand.replace("hand", "forearm") in gone}
 
     def lost(self, name: str) -> np.ndarray:
         """(V,) vertices on parts that were taken away."""
+        nothing = np.zeros(self._model.vertex_count, bool)
+        return np.logical_or.reduce([nothing, *(self._parts[part] for part in self._gone(name))])
+
+    def _gone(self, name: str) -> set[str]:
         with np.load(self._folder / f"{name}.npz", allow_pickle=False) as truth:
-            gone = [str(part) for part in truth["missing"]]
-        return np.logical_or.reduce(
-            [np.zeros(self._model.vertex_count, bool), *(self._parts[p] for p in gone)]
-        )
+            return {str(part) for part in truth["missing"]}
 
     def _carried_by(self, joint: str) -> np.ndarray:
         return self._model.skinning_weights[:, self._model.joint_names.index(joint)] > 0.5

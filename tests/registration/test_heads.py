@@ -74,7 +74,6 @@ def test_a_face_of_the_model_is_found_wherever_it_looks(head, finder):
 @pytest.mark.slow
 @pytest.mark.real_data
 def test_a_real_bust_without_a_unit_is_registered_in_any_direction(shared_data, head, finder):
-    pytest.importorskip("DracoPy")
     scan = read_scan(shared_data / "scans" / "head-leeperry" / "LeePerrySmith.glb", "free", HEAD.extent)
     R = Rotation.from_euler("xyz", [95, 10, 70], degrees=True).as_matrix()
     other = Scan("turned", scan.points @ R.T, scan.faces, scan.normals @ R.T, None, scan.unit)

@@ -7,6 +7,7 @@ import struct
 import subprocess
 import sys
 
+import DracoPy
 import numpy as np
 import pytest
 import trimesh
@@ -57,8 +58,7 @@ def _glb(packed):
 
 @pytest.fixture(scope="module")
 def packed():
-    decoder = pytest.importorskip("DracoPy")
-    return decoder.encode(_MESH.vertices, _MESH.faces.astype(np.uint32), quantization_bits=16)
+    return DracoPy.encode(_MESH.vertices, _MESH.faces.astype(np.uint32), quantization_bits=16)
 
 
 def test_a_packed_mesh_is_read_at_its_place(packed, tmp_path):
@@ -138,9 +138,8 @@ def test_primitives_that_share_data_are_unpacked_once(packed):
 
 
 def test_colours_are_kept(tmp_path):
-    decoder = pytest.importorskip("DracoPy")
     colours = np.random.default_rng(3).integers(0, 256, (len(_MESH.vertices), 3)).astype(np.uint8)
-    packed = decoder.encode(
+    packed = DracoPy.encode(
         _MESH.vertices, _MESH.faces.astype(np.uint32), colors=colours, preserve_order=True
     )
     (tmp_path / "a.glb").write_bytes(_glb(packed))

@@ -329,7 +329,6 @@ def test_real_hands(shared_data, name, points, faces, diagonal):
 
 @pytest.mark.real_data
 def test_a_draco_file_is_unpacked(shared_data):
-    pytest.importorskip("DracoPy")
     scan = read_scan(shared_data / "scans" / "head-leeperry" / "LeePerrySmith.glb", "free")
     points = scan.in_own_unit(scan.points)
     # What the file says of its positions, which Draco rounds to 14 bits.

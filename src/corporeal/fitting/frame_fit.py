@@ -12,14 +12,13 @@ from corporeal.fitting.frame_data import FramePoints, HandFaces, chosen_points, 
 from corporeal.fitting.options import AnnealingStep, TrackingOptions
 from corporeal.fitting.pose_terms import pose_terms, tracking_subspace
 from corporeal.geometry.closest_points import ClosestPoints
-from corporeal.model.jacobian import ParameterColumns
 from corporeal.model.surface_model import SurfaceModel
 from corporeal.scans.scan import Scan
 from corporeal.solve.dogleg import DoglegOptions, Solution, solve, solve_within
 from corporeal.solve.problem import Problem, State, Term
 from corporeal.terms.distance import DistanceOptions
 from corporeal.terms.gaussian_prior import GaussianPrior
-from corporeal.terms.hinges import HINGE_SIGMA, hinge_terms
+from corporeal.terms.hinges import HINGE_SIGMA, Hinges, hinge_terms
 from corporeal.terms.model_fields import MODEL, ModelFields
 from corporeal.terms.scan_to_surface import MovingSurface, ScanToSurface
 from corporeal.terms.surface_to_scan import STICKING_OUT, ScanSurface, SurfaceToScan
@@ -108,9 +107,8 @@ class FrameFitter:
         self.on_hands = self.hands.any_hand(len(model.faces))
         self._hand_vertices = np.zeros(model.vertex_count, dtype=bool)
         self._hand_vertices[np.unique(model.faces[self.on_hands])] = True
-        self._arms = {
-            name: _arm(model, self.fields.columns, name, mask) for name, mask in self.hands.masks.items()
-        }
+        hinges = hinge_terms(model, self.fields.columns, HINGE_SIGMA)
+        self._arms = {name: _arm(model, hinges, name, mask) for name, mask in self.hands.masks.items()}
         self._subspace = tracking_subspace(model, self.fields.columns, options)
 
     def fit(self, points: FramePoints, start: FrameStart, steps: tuple[AnnealingStep, ...]) -> Solution:
@@ -239,13 +237,12 @@ class FrameFitter:
         return pull
 
 
-def _arm(model: SurfaceModel, columns: ParameterColumns, name: str, hand: Bool[np.ndarray, " F"]) -> _Arm:
+def _arm(model: SurfaceModel, hinges: list[Hinges], name: str, hand: Bool[np.ndarray, " F"]) -> _Arm:
     fingers = model.block(name).joints
     wrist = int(model.parents[fingers[0]])
     above = [joint for joint in (wrist, int(model.parents[wrist])) if joint > 0]
     vertices = model.skinning_weights[:, above].sum(axis=1) > 0.5
     vertices[np.unique(model.faces[hand])] = True
-    hinges = hinge_terms(model, columns, HINGE_SIGMA)
     search = ArmSearch.below(model, above[1], hinges[0]) if hinges and len(above) == 2 else None
     return _Arm(vertices, tuple(above), fingers, search)
 

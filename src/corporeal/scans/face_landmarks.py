@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Float
 
 from corporeal.geometry.cameras import Pinhole
-from corporeal.geometry.triangulation import Triangulation, robust_triangulation
 from corporeal.scans.face_detector import FACE_NAMES, FaceDetector
 from corporeal.scans.scan import Scan
 from corporeal.scans.virtual_cameras import (
@@ -16,6 +15,7 @@ from corporeal.scans.virtual_cameras import (
     cameras_around,
     ring,
     spread_in_metres,
+    triangulated,
     upright_candidates,
 )
 
@@ -67,14 +67,14 @@ def find_face_landmarks(scan: Scan, detector: FaceDetector) -> FaceLandmarks:
         cameras = cameras_around(
             subject.outline, ring(up, _COARSE_VIEWS, (0.0,)), up, size=_SIZE, fill=_FILL_COARSE
         )
-        rough = _triangulated(*_seen(subject, cameras, detector), _TOLERANCE_COARSE)
+        rough = triangulated(*_seen(subject, cameras, detector), _TOLERANCE_COARSE * _SIZE)
         tried += len(cameras)
         if rough is None or rough.agreeing.sum() < _FEWEST_COARSE or _axes(rough.points)[0] @ up <= 0:
             continue
         cameras = _fine_cameras(subject.outline, rough.points)
         kept, pixels = _seen(subject, cameras, detector)
         tried += len(cameras)
-        result = _triangulated(kept, pixels, _TOLERANCE_FINE)
+        result = triangulated(kept, pixels, _TOLERANCE_FINE * _SIZE)
         agree = 0 if result is None else int(result.agreeing.sum())
         if result is not None and agree >= _FEWEST_VIEWS:
             spread = spread_in_metres(kept, result)
@@ -121,12 +121,3 @@ def _seen(
     kept = [(camera, pixels) for camera, pixels in found if pixels is not None]
     pixels = np.array([pixels for _, pixels in kept]).reshape(-1, len(FACE_NAMES), 2)
     return [camera for camera, _ in kept], pixels
-
-
-def _triangulated(
-    cameras: list[Pinhole], pixels: Float[np.ndarray, "C 51 2"], tolerance: float
-) -> Triangulation | None:
-    if len(cameras) < 2:
-        return None
-    projections = np.array([camera.projection for camera in cameras])
-    return robust_triangulation(projections, pixels, tolerance * _SIZE)

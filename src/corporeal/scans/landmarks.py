@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Float
 
 from corporeal.geometry.cameras import Pinhole
-from corporeal.geometry.triangulation import Triangulation, robust_triangulation
+from corporeal.geometry.triangulation import Triangulation
 from corporeal.scans.detector import LANDMARK_NAMES, DetectedHand, HandDetector
 from corporeal.scans.scan import Scan
-from corporeal.scans.virtual_cameras import Subject, cameras_around, ring, spread_in_metres
+from corporeal.scans.virtual_cameras import Subject, cameras_around, ring, spread_in_metres, triangulated
 
 # The detector's networks take 192 and 224 pixels: at 320 it was no better, and drawing took twice as long.
 _SIZE = 224
@@ -71,11 +71,8 @@ class _Views:
         return _Views(self.cameras + others.cameras, self.hands + others.hands)
 
     def triangulated(self, tolerance: float) -> Triangulation | None:
-        if len(self.cameras) < 2:
-            return None
-        projections = np.array([camera.projection for camera in self.cameras])
-        pixels = np.array([hand.pixels for hand in self.hands])
-        return robust_triangulation(projections, pixels, tolerance * _SIZE)
+        pixels = np.array([hand.pixels for hand in self.hands]).reshape(-1, len(LANDMARK_NAMES), 2)
+        return triangulated(self.cameras, pixels, tolerance * _SIZE)
 
 
 def find_hand_landmarks(scan: Scan, detector: HandDetector | None = None) -> HandLandmarks:

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from corporeal.geometry.cameras import Pinhole
 from corporeal.geometry.clustering import clustered
 from corporeal.geometry.rasteriser import flat_picture, shade, splat
-from corporeal.geometry.triangulation import Triangulation
+from corporeal.geometry.triangulation import Triangulation, robust_triangulation
 from corporeal.scans.scan import Scan
 
 # Flat shading with a skin-like tint on a plain background, whatever the scan's own colours: those are often
@@ -66,6 +66,15 @@ def upright_candidates(points: Float[np.ndarray, "N 3"]) -> Iterator[Float[np.nd
     centred = points - points.mean(0)
     longest = np.linalg.eigh(centred.T @ centred)[1][:, 2]
     yield from (longest, -longest)
+
+
+def triangulated(
+    cameras: list[Pinhole], pixels: Float[np.ndarray, "C N 2"], tolerance: float
+) -> Triangulation | None:
+    """What views agree on within so many pixels; None of fewer than two, or where none agree."""
+    if len(cameras) < 2:
+        return None
+    return robust_triangulation(np.array([camera.projection for camera in cameras]), pixels, tolerance)
 
 
 def spread_in_metres(cameras: list[Pinhole], found: Triangulation) -> Float[np.ndarray, " N"]:
