@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -11,6 +11,14 @@ from torch import Tensor
 
 from corporeal.geometry.rotations import matrix_from_axis_angle
 from corporeal.model import lane_kernels, skinning_kernels
+from corporeal.model.batch_state import (
+    BatchState,
+    Incoming,
+    OutputGradients,
+    ParameterGradients,
+    Parameters,
+    Skinned,
+)
 from corporeal.model.pose import FullPose
 from corporeal.model.reference import ModelTensors, PosedSurface, reference_surface
 
@@ -25,51 +33,6 @@ _SPLITS = 8  # of the vertices on the way back, each with its own sums
 # bounds the memory beside the result: passes of 16, 8 and 4 MB were measured to be 1.1, 1.3 and 1.8 times as
 # slow as one of 64 MB for 256 bodies, because the product becomes narrow.
 _PASS_BYTES = 64_000_000
-
-
-class Parameters(NamedTuple):
-    """What a batch is posed by; ``axis_angle`` is empty where the pose came as matrices."""
-
-    axis_angle: Float[np.ndarray, "b K 3"]
-    coefficients: Float[np.ndarray, "B C"]
-    translation: Float[np.ndarray, "B 3"]
-
-
-class BatchState(NamedTuple):
-    """What the kernels keep of a batch, for the backward pass too; Bp is B, padded to whole lanes."""
-
-    row: Float[np.ndarray, "Bp N"]  # 1, coefficients, pose feature: the rest surface is basis @ row
-    local: Float[np.ndarray, "Bp K 3 3"]
-    rest_joints: Float[np.ndarray, "Bp K 3"]
-    motion: Float[np.ndarray, "Bp K 12"]
-    joints: Float[np.ndarray, "B K 3"]
-    T: Float[np.ndarray, "B K 4 4"]
-
-
-class SkinGradients(NamedTuple):
-    """Gradients by what skinning used, in parts that were summed by different threads."""
-
-    motion: Float[np.ndarray, "c Bp K 12"]
-    row: Float[np.ndarray, "c Bp N"]
-    translation: Float[np.ndarray, "c B 3"]
-
-
-class Incoming(NamedTuple):
-    """Gradients that the tree passes on; those by joints and frames are empty where there are none."""
-
-    motion: Float[np.ndarray, "Bp K 12"]
-    row: Float[np.ndarray, "Bp N"]
-    joints: Float[np.ndarray, "b K 3"]
-    T: Float[np.ndarray, "c K 4 4"]
-
-
-class ParameterGradients(NamedTuple):
-    """Gradients by the parameters."""
-
-    coefficients: Float[np.ndarray, "B C"]
-    local: Float[np.ndarray, "B K 3 3"]
-    axis_angle: Float[np.ndarray, "b K 3"]
-    translation: Float[np.ndarray, "B 3"]
 
 
 def fast_surface(
@@ -95,91 +58,85 @@ class _Posing(torch.autograd.Function):
         ctx.tensors, ctx.correctives = tensors, correctives
         ctx.save_for_backward(coefficients, rotation, translation)
         ctx.set_materialize_grads(False)
-        model, given = tensors.cpu_arrays, _parameters(coefficients, rotation, translation)
-        B, K = rotation.shape[:2]
-        few = B < _MANY_FROM
-        joints, T_world_joint = torch.empty(B, K, 3, dtype=rotation.dtype), rotation.new_empty(B, K, 4, 4)
-        vertices = rotation.new_empty(B, len(model.basis) // 3, 3)
-        N = model.basis.shape[1] if correctives else 1 + coefficients.shape[1]
-        state = _blank_state(rotation, N, B if few else _whole_lanes(B), joints, T_world_joint)
-        if few:
-            rests = [np.empty((B, len(model.basis)), state.row.dtype)]
-            chunks = _few_chunks(B, tensors)
-            skinning_kernels.pose_few(chunks, given, model, state, rests[0], vertices.numpy())
+        given = _parameters(coefficients, rotation, translation)
+        state = _blank_state(given, rotation, correctives)
+        kept: Skinned | list[np.ndarray]
+        if len(state.joints) < _MANY_FROM:
+            vertices, kept = _pose_few(tensors, given, state)
         else:
-            skinning_kernels.chain(B * K > _PARALLEL_JOINTS, given, model, state)
-            rests = _pose_many(tensors, given, state, vertices.numpy(), keep_rests=any(ctx.needs_input_grad))
-        ctx.given, ctx.state, ctx.rests = given, state, rests
-        return vertices, joints, T_world_joint
+            vertices, kept = _pose_many(tensors, given, state, keep_rests=any(ctx.needs_input_grad))
+        ctx.given, ctx.state, ctx.kept = given, state, kept
+        return torch.from_numpy(vertices), torch.from_numpy(state.joints), torch.from_numpy(state.T)
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
         saved = ctx.saved_tensors  # complains if a parameter was changed in place since
         if torch.is_grad_enabled():  # create_graph=True
             return _reference_gradients(ctx, saved, gradients)
-        given, state, (by_vertices, by_joints, by_T) = ctx.given, ctx.state, gradients
-        by_motion, by_row, by_translation = _skinning_gradients(ctx, by_vertices)
+        given, state, dtype = ctx.given, ctx.state, ctx.state.row.dtype
         B, K = state.joints.shape[:2]
-        dtype = by_row.dtype
+        V = len(ctx.tensors.cpu_arrays.basis) // 3
+        by_vertices, by_joints, by_T = gradients
+        by = OutputGradients(
+            _array(by_vertices, (V, 3), dtype),
+            _array(by_joints, (K, 3), dtype),
+            _array(by_T, (K, 4, 4), dtype),
+        )
         out = ParameterGradients(
             np.empty(given.coefficients.shape, dtype), np.empty((B, K, 3, 3), dtype),
-            np.empty(given.axis_angle.shape, dtype), by_translation,
+            np.empty(given.axis_angle.shape, dtype), np.empty((B, 3), dtype),
         )  # fmt: skip
-        incoming = Incoming(
-            by_motion, by_row, _array(by_joints, (0, K, 3), dtype), _array(by_T, (0, K, 4, 4), dtype)
-        )
-        skinning_kernels.unchain(
-            B * K > _PARALLEL_JOINTS, given, ctx.tensors.cpu_arrays, state, incoming, out
-        )
-        by_rotation = out.axis_angle if len(given.axis_angle) else out.local
-        found = (torch.from_numpy(array) for array in (out.coefficients, by_rotation, out.translation))
-        return None, *found, None
+        backward = _unpose_few if B < _MANY_FROM else _unpose_many
+        backward(ctx.tensors, given, state, ctx.kept, by, out)
+        by_rotation = torch.from_numpy(out.axis_angle if len(given.axis_angle) else out.local)
+        return None, torch.from_numpy(out.coefficients), by_rotation, torch.from_numpy(out.translation), None
 
 
 def _parameters(coefficients: Tensor, rotation: Tensor, translation: Tensor) -> Parameters:
-    values = rotation.detach().numpy()
+    values = rotation.numpy(force=True)
     axis_angle = values if values.ndim == 3 else np.empty((0, values.shape[1], 3), values.dtype)
-    return Parameters(axis_angle, coefficients.detach().numpy(), translation.detach().numpy())
+    return Parameters(axis_angle, coefficients.numpy(force=True), translation.numpy(force=True))
 
 
-def _blank_state(rotation: Tensor, N: int, padded: int, joints: Tensor, T_world_joint: Tensor) -> BatchState:
+def _blank_state(given: Parameters, rotation: Tensor, correctives: bool) -> BatchState:
     """Room for a batch; surfaces beyond it are padding and stay zero."""
-    values = rotation.detach().numpy()
-    B, K, dtype = *values.shape[:2], values.dtype
-    new = np.empty if padded == B else np.zeros
+    B, K = rotation.shape[:2]
+    N = 1 + given.coefficients.shape[1] + (9 * (K - 1) if correctives else 0)
+    dtype, few = given.coefficients.dtype, B < _MANY_FROM
+    new, padded = (np.empty, B) if few else (np.zeros, _whole_lanes(B))
     local = new((padded, K, 3, 3), dtype)
-    if values.ndim == 4:
-        local[:B] = values
+    if rotation.ndim == 4:
+        local[:B] = rotation.detach().numpy()
     return BatchState(
         new((padded, N), dtype), local, new((padded, K, 3), dtype), new((padded, K, 12), dtype),
-        joints.numpy(), T_world_joint.numpy(),
+        np.empty((B, K, 3), dtype), np.empty((B, K, 4, 4), dtype),
     )  # fmt: skip
 
 
 def _few_chunks(batch: int, tensors: ModelTensors) -> int:
-    return _CHUNKS if batch * tensors.basis.numel() > _PARALLEL_BASIS else 1
+    return _CHUNKS if batch * tensors.cpu_arrays.basis.size > _PARALLEL_BASIS else 1
 
 
 def _whole_lanes(batch: int) -> int:
     return -(-batch // lane_kernels.LANES) * lane_kernels.LANES
 
 
-def _skinning_gradients(ctx: Any, by_vertices: Tensor | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Gradients by motions, basis row and translation from that by the vertices."""
-    state, model = ctx.state, ctx.tensors.cpu_arrays
-    B, dtype = len(state.joints), state.row.dtype
-    if by_vertices is None:
-        return np.zeros_like(state.motion), np.zeros_like(state.row), np.zeros((B, 3), dtype)
-    pull = by_vertices.contiguous()
-    if B >= _MANY_FROM:
-        return *_unpose_many(ctx.tensors, state, ctx.rests, pull.numpy()), pull.sum(dim=1).numpy()
-    chunks = _few_chunks(B, ctx.tensors)
-    shapes = (state.motion.shape, state.row.shape, (B, 3))
-    parts = SkinGradients(*(np.zeros((chunks, *shape), dtype) for shape in shapes))
-    skinning_kernels.unpose_few(model, state, ctx.rests[0], pull.numpy(), parts)
-    if chunks == 1:
-        return parts.motion[0], parts.row[0], parts.translation[0]
-    return parts.motion.sum(axis=0), parts.row.sum(axis=0), parts.translation.sum(axis=0)
+def _pose_few(tensors: ModelTensors, given: Parameters, state: BatchState) -> tuple[np.ndarray, Skinned]:
+    """Vertices of fewer than ``_MANY_FROM`` surfaces, and what the way back needs."""
+    B, model, dtype = len(state.joints), tensors.cpu_arrays, state.row.dtype
+    V = len(model.basis) // 3
+    vertices = np.empty((B, V, 3), dtype)
+    kept = Skinned(np.empty((B, 3 * V), dtype), np.empty((B, V, 12), dtype))
+    skinning_kernels.pose_few(_few_chunks(B, tensors), given, model, state, kept, vertices)
+    return vertices, kept
+
+
+def _unpose_few(
+    tensors: ModelTensors, given: Parameters, state: BatchState, kept: Skinned, by: OutputGradients,
+    out: ParameterGradients,
+) -> None:  # fmt: skip
+    chunks = _few_chunks(len(state.joints), tensors)
+    skinning_kernels.unpose_few(chunks, given, tensors.cpu_arrays, state, kept, by, out)
 
 
 def _passes(vertices: np.ndarray) -> list[slice]:
@@ -190,13 +147,16 @@ def _passes(vertices: np.ndarray) -> list[slice]:
 
 
 def _pose_many(
-    tensors: ModelTensors, given: Parameters, state: BatchState, vertices: np.ndarray, *, keep_rests: bool
-) -> list[np.ndarray]:
-    """Skin a large batch, pass by pass.
+    tensors: ModelTensors, given: Parameters, state: BatchState, *, keep_rests: bool
+) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Vertices of a large batch, skinned pass by pass.
 
     The passes' rest surfaces (3 V, surfaces) are kept for the way back; where there is none, all passes write
     to the same memory, which is mapped once.
     """
+    B, K = state.joints.shape[:2]
+    skinning_kernels.chain(B * K > _PARALLEL_JOINTS, given, tensors.cpu_arrays, state)
+    vertices = np.empty((B, len(tensors.basis) // 3, 3), state.row.dtype)
     basis, rows = tensors.basis[:, : state.row.shape[1]], torch.from_numpy(state.row)
     rests: list[np.ndarray] = []
     scratch: Tensor | None = None
@@ -209,23 +169,27 @@ def _pose_many(
         lane_kernels.pose_many(tensors.cpu_arrays, motion, rest, given.translation[part], vertices[part])
         if keep_rests:
             rests.append(rest)
-    return rests
+    return vertices, rests
 
 
 def _unpose_many(
-    tensors: ModelTensors, state: BatchState, rests: list[np.ndarray], by_vertices: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Gradients by motions and basis row of a large batch, pass by pass."""
+    tensors: ModelTensors, given: Parameters, state: BatchState, rests: list[np.ndarray], by: OutputGradients,
+    out: ParameterGradients,
+) -> None:  # fmt: skip
+    """The way back of a large batch: skinning pass by pass, then the tree."""
     basis = tensors.basis[:, : state.row.shape[1]]
-    by_motion, by_row = np.empty_like(state.motion), np.empty_like(state.row)
-    for part, rest in zip(_passes(by_vertices), rests, strict=True):
+    by_motion, by_row = np.zeros_like(state.motion), np.zeros_like(state.row)
+    out.translation[:] = torch.from_numpy(by.vertices).sum(dim=1).numpy() if len(by.vertices) else 0
+    for part, rest in zip(_passes(by.vertices), rests, strict=False):  # no pass without a gradient
         motion = _to_lanes(state.motion[part])
         by_lanes = np.zeros((_SPLITS, *motion.shape), rest.dtype)
         by_rest = np.empty_like(rest)
-        lane_kernels.unpose_many(tensors.cpu_arrays, motion, rest, by_vertices[part], by_lanes, by_rest)
+        lane_kernels.unpose_many(tensors.cpu_arrays, motion, rest, by.vertices[part], by_lanes, by_rest)
         by_motion[part] = _from_lanes(by_lanes.sum(axis=0))
         torch.mm(torch.from_numpy(by_rest).T, basis, out=torch.from_numpy(by_row[part]))
-    return by_motion, by_row
+    B, K = state.joints.shape[:2]
+    incoming = Incoming(by_motion, by_row, by.joints, by.T)
+    skinning_kernels.unchain(B * K > _PARALLEL_JOINTS, given, tensors.cpu_arrays, state, incoming, out)
 
 
 def _reference_gradients(
@@ -247,8 +211,8 @@ def _reference_gradients(
     return None, coefficient, turn, move, None
 
 
-def _array(gradient: Tensor | None, empty: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
-    return np.empty(empty, dtype) if gradient is None else gradient.detach().contiguous().numpy()
+def _array(gradient: Tensor | None, trailing: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
+    return np.empty((0, *trailing), dtype) if gradient is None else gradient.detach().contiguous().numpy()
 
 
 def _to_lanes(motion: np.ndarray) -> np.ndarray:

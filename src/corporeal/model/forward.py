@@ -31,7 +31,7 @@ def posed_surface(
 
 def _kernels_apply(tensors: ModelTensors, values: Tensor) -> bool:
     return (
-        values.device.type == "cpu"
+        values.is_cpu
         and values.dtype in (torch.float32, torch.float64)
         and not tensors.trainable
         and not torch._C._are_functorch_transforms_active()

@@ -1,14 +1,16 @@
 """Kernels of batched posing on the CPU, forward and backward, in the dtype of their arrays.
 
-``given`` is a ``Parameters``, ``model`` a ``CpuArrays``, ``state`` a ``BatchState``. A joint's motion is
-3 x 4: rotation row-major in 0..8, offset in 9..11. Surfaces run one after the other; ``lane_kernels`` run
-large batches side by side.
+``given`` is a ``Parameters``, ``model`` a ``CpuArrays``, the others are what ``batch_state`` names. A joint's
+motion is 3 x 4: rotation row-major in 0..8, offset in 9..11. Surfaces run one after the other;
+``lane_kernels`` run large batches side by side.
 """
 
 import math
 
 import numpy as np
 from numba import njit, prange
+
+from corporeal.model.batch_state import Incoming, SkinGradients
 
 SMALL_SQUARED_ANGLE = 1e-3
 
@@ -201,84 +203,132 @@ def unchain(parallel, given, model, state, gradients, out):
 
 
 @njit(cache=True, fastmath=True)
-def blend_motion(i, model, motion, blended):
-    """The motion of one vertex of one surface. Twelve scalars instead of the array were twice as slow."""
-    blended[:] = 0
-    for n in range(model.weight_starts[i], model.weight_starts[i + 1]):
-        k, weight = model.weight_joints[n], model.weight_values[n]
-        for e in range(12):
-            blended[e] += weight * motion[k, e]
+def add_motion(blended, weight, motion):
+    """``blended + weight * motion``, twelve numbers.
+
+    A tuple stays in registers. An array in its place went through memory for every joint: skinning of a hand
+    took twice as long.
+    """
+    return (
+        blended[0] + weight * motion[0], blended[1] + weight * motion[1], blended[2] + weight * motion[2],
+        blended[3] + weight * motion[3], blended[4] + weight * motion[4], blended[5] + weight * motion[5],
+        blended[6] + weight * motion[6], blended[7] + weight * motion[7], blended[8] + weight * motion[8],
+        blended[9] + weight * motion[9], blended[10] + weight * motion[10], blended[11] + weight * motion[11],
+    )  # fmt: skip
 
 
 @njit(cache=True, fastmath=True)
-def pose_range(first, last, given, model, state, rest, vertices):
+def skin_vertex(i, model, motion, rest, move, kept, vertex):
+    """The posed place of one vertex; ``kept`` gets its motion."""
+    zero = rest.dtype.type(0)
+    m = (zero, zero, zero, zero, zero, zero, zero, zero, zero, zero, zero, zero)
+    for n in range(model.weight_starts[i], model.weight_starts[i + 1]):
+        m = add_motion(m, model.weight_values[n], motion[model.weight_joints[n]])
+    x, y, z = rest[3 * i], rest[3 * i + 1], rest[3 * i + 2]
+    vertex[0] = m[0] * x + m[1] * y + m[2] * z + m[9] + move[0]
+    vertex[1] = m[3] * x + m[4] * y + m[5] * z + m[10] + move[1]
+    vertex[2] = m[6] * x + m[7] * y + m[8] * z + m[11] + move[2]
+    kept[0], kept[1], kept[2], kept[3], kept[4], kept[5] = m[0], m[1], m[2], m[3], m[4], m[5]
+    kept[6], kept[7], kept[8], kept[9], kept[10], kept[11] = m[6], m[7], m[8], m[9], m[10], m[11]
+
+
+@njit(cache=True, fastmath=True)
+def pose_range(first, last, given, model, state, kept, vertices):
     """Rest surface and skinning of the vertices ``first`` to ``last``, one surface after the other."""
-    blended = np.empty(12, vertices.dtype)
-    N = state.row.shape[1]
+    N, zero = state.row.shape[1], state.row.dtype.type(0)
     for b in range(len(vertices)):
+        rest, move = kept.rest[b], given.translation[b]
         for row in range(3 * first, 3 * last):
-            total = model.basis[row, 0]
-            for n in range(1, N):
+            total = zero
+            for n in range(N):  # from the column that begins a cache line
                 total += model.basis[row, n] * state.row[b, n]
-            rest[b, row] = total
+            rest[row] = total
         for i in range(first, last):
-            x, y, z = rest[b, 3 * i], rest[b, 3 * i + 1], rest[b, 3 * i + 2]
-            blend_motion(i, model, state.motion[b], blended)
-            for a in range(3):
-                moved = blended[3 * a] * x + blended[3 * a + 1] * y + blended[3 * a + 2] * z
-                vertices[b, i, a] = moved + blended[9 + a] + given.translation[b, a]
+            skin_vertex(i, model, state.motion[b], rest, move, kept.blended[b, i], vertices[b, i])
 
 
 @njit(cache=True, parallel=True)
-def pose_few(chunks, given, model, state, rest, vertices):
+def pose_few(chunks, given, model, state, kept, vertices):
     """Joints, rest surface and skinning, on this thread if there is one chunk."""
     B, V = vertices.shape[:2]
     for b in range(B):
         chain_one(b, given, model, state)
     if chunks == 1:
-        pose_range(0, V, given, model, state, rest, vertices)
+        pose_range(0, V, given, model, state, kept, vertices)
     else:
         for c in prange(chunks):
-            pose_range(c * V // chunks, (c + 1) * V // chunks, given, model, state, rest, vertices)
+            pose_range(c * V // chunks, (c + 1) * V // chunks, given, model, state, kept, vertices)
 
 
 @njit(cache=True, fastmath=True)
-def unpose_range(first, last, model, state, rest, by_vertices, parts, c):
-    """Part ``c`` of the gradients by motions, basis row and translation, from that by the vertices."""
-    blended, outer = np.empty(12, rest.dtype), np.empty(12, rest.dtype)
-    N = state.row.shape[1]
-    for b in range(len(rest)):
-        motion, by_motion, by_row = state.motion[b], parts.motion[c, b], parts.row[c, b]
-        for i in range(first, last):
-            x, y, z = by_vertices[b, i, 0], by_vertices[b, i, 1], by_vertices[b, i, 2]
-            blend_motion(i, model, motion, blended)
-            for a in range(3):
-                place = rest[b, 3 * i + a]
-                outer[a], outer[3 + a], outer[6 + a] = x * place, y * place, z * place
-            outer[9], outer[10], outer[11] = x, y, z
-            for n in range(model.weight_starts[i], model.weight_starts[i + 1]):
-                k, weight = model.weight_joints[n], model.weight_values[n]
-                for e in range(12):
-                    by_motion[k, e] += weight * outer[e]
-            u = blended[0] * x + blended[3] * y + blended[6] * z
-            v = blended[1] * x + blended[4] * y + blended[7] * z
-            w = blended[2] * x + blended[5] * y + blended[8] * z
-            for n in range(N):
-                by_row[n] += (
-                    u * model.basis[3 * i, n] + v * model.basis[3 * i + 1, n] + w * model.basis[3 * i + 2, n]
-                )
-            parts.translation[c, b, 0] += x
-            parts.translation[c, b, 1] += y
-            parts.translation[c, b, 2] += z
+def gather_motion(k, model, rest, by_vertices, by_motion):
+    """Gradient by the motion of joint ``k``: the sum over its vertices.
+
+    By joint, because twelve sums then stay in registers; by vertex they went through memory, three times as
+    slow.
+    """
+    zero = rest.dtype.type(0)
+    m = (zero, zero, zero, zero, zero, zero, zero, zero, zero, zero, zero, zero)
+    for n in range(model.vertex_starts[k], model.vertex_starts[k + 1]):
+        i = model.weight_vertices[n]
+        x, y, z = by_vertices[i, 0], by_vertices[i, 1], by_vertices[i, 2]
+        p, q, r = rest[3 * i], rest[3 * i + 1], rest[3 * i + 2]
+        outer = (x * p, x * q, x * r, y * p, y * q, y * r, z * p, z * q, z * r, x, y, z)
+        m = add_motion(m, model.vertex_values[n], outer)
+    by_motion[0], by_motion[1], by_motion[2], by_motion[3], by_motion[4], by_motion[5] = m[:6]
+    by_motion[6], by_motion[7], by_motion[8], by_motion[9], by_motion[10], by_motion[11] = m[6:]
+
+
+@njit(cache=True, fastmath=True)
+def gather_row(first, last, model, kept, by_vertices, by_row):
+    """Gradient by the basis row of one surface from the vertices ``first`` to ``last``."""
+    for i in range(first, last):
+        x, y, z = by_vertices[i, 0], by_vertices[i, 1], by_vertices[i, 2]
+        blended = kept[i]
+        u = blended[0] * x + blended[3] * y + blended[6] * z
+        v = blended[1] * x + blended[4] * y + blended[7] * z
+        w = blended[2] * x + blended[5] * y + blended[8] * z
+        for n in range(len(by_row)):
+            by_row[n] += (
+                u * model.basis[3 * i, n] + v * model.basis[3 * i + 1, n] + w * model.basis[3 * i + 2, n]
+            )
+
+
+@njit(cache=True)
+def unpose_part(c, chunks, model, kept, by_vertices, gradients):
+    """Every ``chunks``-th joint from ``c`` on, and the basis row by the vertices of part ``c``."""
+    V, K = by_vertices.shape[1], gradients.motion.shape[1]
+    first, last = c * V // chunks, (c + 1) * V // chunks
+    for b in range(len(by_vertices)):
+        for k in range(c, K, chunks):
+            gather_motion(k, model, kept.rest[b], by_vertices[b], gradients.motion[b, k])
+        gather_row(first, last, model, kept.blended[b], by_vertices[b], gradients.row[c, b])
 
 
 @njit(cache=True, parallel=True)
-def unpose_few(model, state, rest, by_vertices, parts):
-    """``unpose_range`` over all vertices; ``parts`` have one leading entry per chunk and are to be summed."""
-    V, chunks = by_vertices.shape[1], len(parts.motion)
+def unpose_parts(chunks, model, kept, by_vertices, gradients):
+    """``unpose_part`` by several threads."""
+    for c in prange(chunks):
+        unpose_part(c, chunks, model, kept, by_vertices, gradients)
+
+
+@njit(cache=True)
+def unpose_few(chunks, given, model, state, kept, by, out):
+    """The way back of a few surfaces, from gradients by vertices, joints and frames; each may be empty."""
+    gradients = SkinGradients(
+        np.zeros_like(state.motion), np.zeros((chunks, *state.row.shape), state.row.dtype)
+    )
     if chunks == 1:
-        unpose_range(0, V, model, state, rest, by_vertices, parts, 0)
+        unpose_part(0, 1, model, kept, by.vertices, gradients)
     else:
-        for c in prange(chunks):
-            first, last = c * V // chunks, (c + 1) * V // chunks
-            unpose_range(first, last, model, state, rest, by_vertices, parts, c)
+        unpose_parts(chunks, model, kept, by.vertices, gradients)
+    for c in range(1, chunks):
+        gradients.row[0] += gradients.row[c]
+    out.translation[:] = 0
+    for b in range(len(by.vertices)):
+        for i in range(by.vertices.shape[1]):
+            for a in range(3):
+                out.translation[b, a] += by.vertices[b, i, a]
+    incoming = Incoming(gradients.motion, gradients.row[0], by.joints, by.T)
+    for b in range(len(state.motion)):
+        unchain_one(b, given, model, state, incoming, out)
