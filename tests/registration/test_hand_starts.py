@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from corporeal.geometry.normals import vertex_normals
 from corporeal.geometry.rasteriser import rasterise
@@ -147,3 +148,19 @@ def test_hands_alone_and_blocks_of_bodies_are_no_hands_on_arms(body):
     assert not any(is_hand_on_arm(hand, block) for block in hand.pose_blocks)
     names = [block.name for block in body.pose_blocks if is_hand_on_arm(body, block)]
     assert names == ["left_hand", "right_hand"]
+
+
+def test_a_palm_taken_for_a_back_is_turned(body, fist, hand_vertices):
+    """No fingers make up for a forearm that is turned half about itself."""
+    scan, vertices, begun = fist
+    elbow, wrist = (body.joint_names.index(f"left_{name}") for name in ("elbow", "wrist"))
+    rest = body.joint_regressor @ body.template
+    along = rest[wrist] - rest[elbow]
+    half = Rotation.from_rotvec(np.pi * along / np.linalg.norm(along))
+    pose = begun.pose.copy()
+    pose[elbow] = (Rotation.from_rotvec(pose[elbow]) * half).as_rotvec()
+    turned = dataclasses.replace(begun, pose=pose)
+    parameters, (tried,) = hands_tried(body, scan, turned)
+    posed = evaluate(body, parameters.shape, parameters.pose, parameters.translation).vertices
+    assert tried.cost < 0.4 * tried.cost_before
+    assert 1e3 * np.linalg.norm(posed - vertices, axis=1)[hand_vertices].mean() < 10
