@@ -11,7 +11,8 @@ from corporeal.geometry.rasteriser import rasterise
 from corporeal.model.files import open_model
 from corporeal.model.jacobian import evaluate
 from corporeal.registration import hand_starts
-from corporeal.registration.hand_starts import hand_landmarks, hands_tried, is_hand_on_arm
+from corporeal.registration.hand_starts import hand_landmarks, hands_tried
+from corporeal.registration.hands_on_arms import is_hand_on_arm
 from corporeal.scans.scan import Scan, Unit
 from corporeal.scans.virtual_cameras import cameras_around, ring
 from corporeal.terms.model_fields import ModelParameters

@@ -22,8 +22,8 @@ from corporeal.geometry.rotations_numeric import axis_angle_from_matrix
 from corporeal.model.jacobian import Evaluated, evaluate
 from corporeal.model.landmarks import LandmarkSet
 from corporeal.model.parts import select_part
-from corporeal.model.statistics import PoseBlock
 from corporeal.model.surface_model import SurfaceModel
+from corporeal.registration.hands_on_arms import is_hand_on_arm
 from corporeal.registration.priors import prior_terms
 from corporeal.registration.stages import MeasuredLandmarks
 from corporeal.registration.target import SURFACE_POINTS
@@ -146,14 +146,6 @@ def hand_landmarks(model: SurfaceModel, tried: list[HandTried]) -> MeasuredLandm
     weights = sp.csr_matrix((np.ones(len(vertices)), (np.arange(len(vertices)), vertices)), shape=shape)
     marks = LandmarkSet(names, weights, model.vertex_count)
     return MeasuredLandmarks(marks, positions, np.full(len(vertices), _LED_SIGMA))
-
-
-def is_hand_on_arm(model: SurfaceModel, block: PoseBlock) -> bool:
-    """Whether a block is of fingers, known by components, with a wrist and an elbow above them."""
-    if not len(block.components):
-        return False
-    wrist = int(model.parents[block.joints[0]])
-    return wrist > 0 and int(model.parents[wrist]) > 0
 
 
 @dataclass(frozen=True, eq=False)

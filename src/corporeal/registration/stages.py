@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
 import scipy.sparse as sp
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from corporeal.geometry.self_intersection import PartSurfaces
 from corporeal.geometry.topology import unique_edges
 from corporeal.model.landmarks import LandmarkSet
 from corporeal.model.parts import part_labels
 from corporeal.model.surface_model import SurfaceModel
+from corporeal.registration.hands_on_arms import on_hands
 from corporeal.registration.measures import beyond_cut
 from corporeal.registration.options import FreeStage, LandmarkStage, RegistrationOptions, SurfaceStage
 from corporeal.registration.priors import prior_terms
@@ -24,11 +26,13 @@ from corporeal.solve.problem import Problem, State, Term
 from corporeal.solve.subspace import AffineSubspace
 from corporeal.terms.coupling import EdgeCoupling
 from corporeal.terms.distance import DistanceOptions
+from corporeal.terms.gaussian_prior import GaussianPrior
 from corporeal.terms.landmarks import LandmarkDistances
 from corporeal.terms.model_fields import LANDMARKS, MODEL, ModelFields
 from corporeal.terms.part_separation import PartSeparation
+from corporeal.terms.pose_subspace import block_columns
 from corporeal.terms.scan_to_surface import MovingSurface, ScanToSurface
-from corporeal.terms.surface_to_scan import SurfaceToScan
+from corporeal.terms.surface_to_scan import STICKING_OUT, SurfaceToScan
 
 FREE = "free"
 # Points this far before the wrist plane still help to place the wrist; farther ones are arm.
@@ -36,6 +40,8 @@ _ARM_MARGIN = 0.01
 # Curvature along the surface in the model-only stages. Measured on the real scans: 0.1 needs a third of the
 # steps of point-to-point; 0 lets a nearly round finger turn about itself.
 _TANGENTIAL = 0.1
+# How firmly fingers that were found are held, radians.
+_HELD = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +78,7 @@ class _Topology:
     parts: PartSurfaces | None
     edges: Int[np.ndarray, "E 2"]
     edge_lengths: Float[np.ndarray, " E"]
+    hands: Bool[np.ndarray, " V"]
 
 
 # Kept as long as the model is: a session registers thousands of scans with two (0.1 s each to make).
@@ -104,6 +111,7 @@ class Fitter:
         topology = _topology(model)
         self.surface, self.parts = topology.surface, topology.parts
         self._subspace: AffineSubspace | None = None
+        self._held: Mapping[str, Float[np.ndarray, "n 3"]] = {}
 
     def within(self, subspace: AffineSubspace | None) -> Fitter:
         """The same fit with the parameters of its model stages held to a subspace; None frees them."""
@@ -121,9 +129,19 @@ class Fitter:
             other.landmarks = replace(self.landmarks, positions=factor * self.landmarks.positions)
         return other
 
-    def led_to(self, marks: MeasuredLandmarks, dropped: tuple[str, ...]) -> Fitter:
-        """The same fit with more landmarks; those whose names begin with one of ``dropped`` are left out."""
+    def led_to(
+        self, marks: MeasuredLandmarks, dropped: tuple[str, ...], fingers: Mapping[str, np.ndarray]
+    ) -> Fitter:
+        """The same fit with more landmarks, and with fingers held to a pose.
+
+        Args:
+            marks: further landmarks.
+            dropped: landmarks whose names begin with one of these are left out.
+            fingers: pose block -> (n, 3) where its joints are held from now on. A body's own stages have few
+                points on a hand: without this they undid a third to all of what was found (``hand_starts``).
+        """
         other = copy.copy(self)
+        other._held = dict(fingers)
         other.landmarks = marks if self.landmarks is None else self.landmarks.without(dropped).joined(marks)
         other.fields = ModelFields(
             self.model,
@@ -145,12 +163,7 @@ class Fitter:
         terms = self._priors(stage.shape_sigma, stage.pose_prior_scale)
         terms += self._landmark_terms(stage.landmark_sigma, 3.0)
         terms.append(self._data_term(MODEL, start, stage.points, stage.observations, options))
-        if self.target.surface is not None and stage.scan_share > 0:
-            share = stage.scan_share * stage.observations / self.model.vertex_count
-            weights = np.full(self.model.vertex_count, share)
-            terms.append(
-                SurfaceToScan("surface to scan", MODEL, self.surface, self.target.surface, weights, options)
-            )
+        terms += self._way_back(stage, options)
         terms += self._separation(MODEL, stage.separation_sigma)
         return self._solve_model(terms, start, stage.iterations)
 
@@ -174,9 +187,16 @@ class Fitter:
         return samples.kept(beyond_cut(samples.positions, self.model.cut, posed, _ARM_MARGIN))
 
     def _priors(self, shape_sigma: float, pose_prior_scale: float) -> list[Term]:
-        return prior_terms(
+        columns = self.fields.columns
+        held = [
+            GaussianPrior.isotropic(
+                f"{name} held", block_columns(self.model.block(name), columns), pose.ravel(), _HELD
+            )
+            for name, pose in self._held.items()
+        ]
+        return held + prior_terms(
             self.model,
-            self.fields.columns,
+            columns,
             shape_sigma=shape_sigma,
             pose_prior_scale=pose_prior_scale,
             limit_sigma=self.options.limit_sigma,
@@ -199,6 +219,27 @@ class Fitter:
         return ScanToSurface(
             "scan to surface", field, self.surface, near.positions, weights, near.normals, options
         )
+
+    def _way_back(self, stage: SurfaceStage, options: DistanceOptions) -> list[Term]:
+        """From the surface to the scan; of a body's hands only what is outside of it.
+
+        Skin within the scan may be folded skin that nothing saw: with it, closed fists came open again.
+        """
+        scan = self.target.surface
+        if scan is None or stage.scan_share == 0:
+            return []
+        share = stage.scan_share * stage.observations / self.model.vertex_count
+        hands = _topology(self.model).hands
+        rest = SurfaceToScan(
+            "surface to scan", MODEL, self.surface, scan, np.where(hands, 0.0, share), options
+        )
+        if not hands.any():
+            return [rest]
+        weights = np.where(hands, share, 0.0)
+        return [
+            rest,
+            SurfaceToScan("hands to scan", MODEL, self.surface, scan, weights, options, True, STICKING_OUT),
+        ]
 
     def _separation(self, field: str, sigma: float) -> list[Term]:
         if self.parts is None or np.isinf(sigma):
@@ -232,7 +273,8 @@ def _topology(model: SurfaceModel) -> _Topology:
         edges = unique_edges(model.faces)
         ends = model.template[edges]
         lengths = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
-        found = _Topology(MovingSurface(model.template, model.faces), _parts(model), edges, lengths)
+        surface = MovingSurface(model.template, model.faces)
+        found = _Topology(surface, _parts(model), edges, lengths, on_hands(model))
         _TOPOLOGIES[model] = found
     return found
 
