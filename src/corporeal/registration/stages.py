@@ -130,18 +130,22 @@ class Fitter:
         return other
 
     def led_to(
-        self, marks: MeasuredLandmarks, dropped: tuple[str, ...], fingers: Mapping[str, np.ndarray]
+        self,
+        marks: MeasuredLandmarks,
+        dropped: tuple[str, ...],
+        fingers: Mapping[str, Float[np.ndarray, "n 3"]],
     ) -> Fitter:
         """The same fit with more landmarks, and with fingers held to a pose.
 
         Args:
             marks: further landmarks.
             dropped: landmarks whose names begin with one of these are left out.
-            fingers: pose block -> (n, 3) where its joints are held from now on. A body's own stages have few
-                points on a hand: without this they undid a third to all of what was found (``hand_starts``).
+            fingers: pose block -> (n, 3) radians, where its joints are held from now on. A body's own stages
+                have few points on a hand: without this they undid a third to all of what was found
+                (``hand_starts``).
         """
         other = copy.copy(self)
-        other._held = dict(fingers)
+        other._held = {**self._held, **fingers}
         other.landmarks = marks if self.landmarks is None else self.landmarks.without(dropped).joined(marks)
         other.fields = ModelFields(
             self.model,
