@@ -17,6 +17,7 @@ from corporeal.scans.scan import Scan, Unit
 from corporeal.scans.virtual_cameras import cameras_around, ring
 from corporeal.terms.model_fields import ModelParameters
 
+pytestmark = pytest.mark.slow
 NAME = "left_hand"
 OFF = 0.1
 
