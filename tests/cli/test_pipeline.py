@@ -94,6 +94,7 @@ def test_every_round_registers_with_the_model_of_the_one_before(registered, taug
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_same_command_keeps_all_models(registered, taught, pipeline, tmp_path, capsys):
     result = tmp_path / "result.json"
     pipeline("--json", str(result))

@@ -73,6 +73,7 @@ def test_the_search_lays_the_forearm_to_points_and_moves_nothing_else(person):
     assert set(changed.tolist()) <= turned
 
 
+@pytest.mark.slow
 def test_a_missing_forearm_is_held_and_found_again_elsewhere(person):
     start, before, _ = _posed(person, 20)
     _, after, _ = _posed(person, 100, turn=-60)

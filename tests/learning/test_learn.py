@@ -173,6 +173,7 @@ def test_poor_start_poses_lead_to_the_same_model(small, rng, spread):
     assert 1e3 * np.linalg.norm(poor.model.template - good.model.template, axis=1).max() < 0.25
 
 
+@pytest.mark.slow
 def test_left_is_right_mirrored(learned, rng):
     model = learned.model
     left = mirror_model(model)
@@ -282,6 +283,7 @@ def test_a_tree_of_one_joint(small):
     assert result.model.shape_count == 3
 
 
+@pytest.mark.slow
 def test_wrecked_registrations_are_left_out(known_tube, rng):
     """A few that no pose explains must not become correctives."""
     vertices = known_tube.training.vertices.copy()

@@ -53,6 +53,7 @@ def test_a_scan_without_a_face_is_said_to_have_none(head):
     assert found.views_tried == blind.pictures == 8 * 12
 
 
+@pytest.mark.slow
 def test_a_face_of_the_model_is_found_wherever_it_looks(head, finder):
     shape = 0.8 * np.random.default_rng(2).normal(size=head.shape_count)
     shape[25:] *= 0.3

@@ -44,11 +44,13 @@ def resting_landmarks(model):
 
 
 @pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.slow
 def test_other_things_fail(hand, name):
     result = register(mesh_scan(name, SHAPES[name]()), hand, resting_landmarks(hand), "right", ONCE)
     assert result.status == "failed", result.reason
 
 
+@pytest.mark.slow
 def test_a_nonsense_model_fails(hand, make_capture, rng):
     count = 778
     landmark_set = hand.landmarks["hand_21_mediapipe"]

@@ -80,6 +80,7 @@ def test_a_scan_without_a_unit_gets_the_scale_of_an_average_hand(hand, make_capt
     assert 1e3 * np.linalg.norm(own - capture.vertices, axis=1).mean() < 1.5
 
 
+@pytest.mark.slow
 def test_without_unit_and_landmarks_scale_and_orientation_are_searched(hand, make_capture):
     capture = make_capture(hand, 14, shape_spread=0.0)
     provisional = 1.2 / 20.8
@@ -90,6 +91,7 @@ def test_without_unit_and_landmarks_scale_and_orientation_are_searched(hand, mak
     assert 1 / result.scan.unit.metres_per_unit == pytest.approx(20.8, rel=0.06)
 
 
+@pytest.mark.slow
 def test_without_landmarks_the_orientation_is_searched(hand, make_capture):
     capture = make_capture(hand, 8)
     result = register(capture.scan, hand, None)
@@ -98,6 +100,7 @@ def test_without_landmarks_the_orientation_is_searched(hand, make_capture):
     assert _v2v_mm(result, capture.vertices).mean() < 1.5
 
 
+@pytest.mark.slow
 def test_a_scan_of_something_else_is_not_called_ok(hand, rng):
     from corporeal.scans.scan import Scan
 

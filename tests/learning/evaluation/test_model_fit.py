@@ -106,6 +106,7 @@ def test_points_before_the_cut_plane_are_not_scored(bent_tube, tube_scan, person
     assert fit_model(cut_model, known.scan, start, PoseOnly()).s2m_mm["mean"] < 0.09
 
 
+@pytest.mark.slow
 def test_the_hand_in_the_box(make_scan, personal):
     hand = open_model("hand")
     block = hand.block("hand")

@@ -136,6 +136,7 @@ def test_landmarks_come_along(merged, hand):
     assert min(np.linalg.norm(point - posed.joints[joint]) for point in tips.values()) < 1e-9
 
 
+@pytest.mark.slow
 def test_another_mesh_is_joined_by_closest_points(merged, arms, hand, rng):
     """The same surface with its vertices slid within 0.3 mm: nearly the same merged model."""
     slid = hand.replace(template=hand.template + 1e-4 * rng.standard_normal(hand.template.shape))
