@@ -40,7 +40,7 @@ test: lint
 	$(MAKE) --no-print-directory numpy2
 
 # The detector's wheel holds numpy at 1.26; without it the newest numpy is used, and must work as well. Tests
-# marked slow (browsers, kills, whole sessions) run once, above.
+# marked slow (over five seconds: browsers, kills, whole sessions, examples) run once, above.
 numpy2: $(VENV2)/.test
 	NUMBA_CACHE_DIR=$(VENV2)/numba $(VENV2)/bin/python -m pytest -q -n auto -m "not slow"
 

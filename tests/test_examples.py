@@ -12,6 +12,7 @@ EXAMPLES = sorted((REPOSITORY / "examples").glob("*/*.py"))
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: f"{path.parent.name}/{path.stem}")
+@pytest.mark.slow
 def test_example_runs_and_says_something(example, tmp_path):
     done = subprocess.run(
         [sys.executable, str(example)],
