@@ -8,6 +8,7 @@ outside of the scan count (``SurfaceToScan.outside``): with all of them the wron
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from weakref import WeakKeyDictionary
@@ -15,10 +16,9 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Bool, Float, Int
-from scipy.spatial.transform import Rotation
 
 from corporeal.geometry.closest_points import SurfaceTree
-from corporeal.geometry.rotations_numeric import axis_angle_from_matrix
+from corporeal.geometry.rotations_numeric import axis_angle_from_matrix, matrix_from_axis_angle
 from corporeal.model.jacobian import Evaluated, evaluate
 from corporeal.model.landmarks import LandmarkSet
 from corporeal.model.parts import select_part
@@ -130,8 +130,8 @@ def hands_tried(
         near = _cut_out(scan, posed, model, arm)
         if near is None:
             continue
-        begun = _pose_of_arm(arm, posed, parameters.pose)
-        vector, hand = _best_turn(arm, parameters.shape, near, begun, promising.get(block.name))
+        fit = _ArmFit(arm, parameters.shape, near, _pose_of_arm(arm, posed, parameters.pose))
+        vector, hand = fit.best_turn(promising.get(block.name))
         pose[arm.joints] = _local_pose(model, arm, posed, vector)
         tried.append(hand)
     return ModelParameters(parameters.translation, pose, parameters.shape), tried
@@ -206,31 +206,6 @@ def _pose_of_arm(arm: _Arm, posed: Evaluated, pose: Float[np.ndarray, "K 3"]) ->
     return ModelParameters(posed.joints[arm.joints[0]], own, np.zeros(0))
 
 
-def _best_turn(
-    arm: _Arm, shape: Float[np.ndarray, " s"], near: Scan, begun: ModelParameters,
-    fingers: tuple[Float[np.ndarray, " f"], ...] | None,
-) -> tuple[Float[np.ndarray, " Q"], HandTried]:  # fmt: skip
-    """The best descent; where that is a bad one, those from a turned forearm are tried too.
-
-    A body's fit may take a palm for a back. In the right turn descents cost 150 to 350; in a wrong one no
-    fingers made up for it, the best cost 955 where half of that was found behind the true turn.
-    """
-    vector, hand = _ArmFit(arm, shape, near, begun).best(fingers)
-    if hand.cost < _TURNED_FROM:
-        return vector, hand
-    before = hand.cost_before
-    root = Rotation.from_rotvec(begun.pose[0])
-    rest = arm.part.joint_regressor @ arm.part.template
-    axis = root.apply((rest[1] - rest[0]) / np.linalg.norm(rest[1] - rest[0]))
-    for turn in _TURNS:
-        pose = begun.pose.copy()
-        pose[0] = (Rotation.from_rotvec(turn * axis) * root).as_rotvec()
-        other, tried = _ArmFit(arm, shape, near, replace(begun, pose=pose)).best(None)
-        if tried.cost < hand.cost:
-            vector, hand = other, replace(tried, cost_before=before)
-    return vector, hand
-
-
 def _local_pose(
     model: SurfaceModel, arm: _Arm, posed: Evaluated, vector: Float[np.ndarray, " Q"]
 ) -> Float[np.ndarray, "j 3"]:
@@ -265,7 +240,34 @@ class _ArmFit:
         self._scan: ScanSurface = ScanSurface.of_mesh(scan.points, scan.faces, SURFACE_POINTS)
         self._block = next(block for block in part.pose_blocks if len(block.components))
         self._where = block_columns(self._block, self._fields.columns)
-        self._wrist = slice(self._fields.columns.pose.start + 3, self._fields.columns.pose.start + 6)
+        first = self._fields.columns.pose.start
+        self._root, self._wrist = slice(first, first + 3), slice(first + 3, first + 6)
+
+    def best_turn(
+        self, fingers: tuple[Float[np.ndarray, " f"], ...] | None
+    ) -> tuple[Float[np.ndarray, " Q"], HandTried]:
+        """``best``; where that is a bad descent, the best from a turned forearm too, with all known fingers.
+
+        A body's fit may take a palm for a back. In the right turn descents cost 150 to 350; in a wrong one no
+        fingers made up for it, the best cost 955 where half of that was found behind the true turn.
+        """
+        found = self.best(fingers)
+        if found[1].cost < _TURNED_FROM:
+            return found
+        turned = min((self._turned(turn).best(None) for turn in _TURNS), key=lambda one: one[1].cost)
+        if turned[1].cost >= found[1].cost:
+            return found
+        return turned[0], replace(turned[1], cost_before=found[1].cost_before)
+
+    def _turned(self, angle: float) -> _ArmFit:
+        """The same fit begun with the forearm turned about itself, radians."""
+        elbow, wrist = (self._arm.part.joint_regressor @ self._arm.part.template)[:2]
+        along = (wrist - elbow) / np.linalg.norm(wrist - elbow)
+        other = copy.copy(self)
+        other._begun = self._begun.copy()
+        root, turn = matrix_from_axis_angle(np.array([self._begun[self._root], angle * along]))
+        other._begun[self._root] = axis_angle_from_matrix((root @ turn)[None])[0]
+        return other
 
     def best(
         self, fingers: tuple[Float[np.ndarray, " f"], ...] | None
@@ -343,12 +345,11 @@ class _ArmFit:
         asked = np.flatnonzero(arm.fingers)[:: descent.every]
         back = np.zeros(len(arm.fingers))
         back[asked] = _BACK * _OBSERVATIONS / max(len(asked), 1)
-        root = slice(columns.pose.start, columns.pose.start + 3)
         return [
             ScanToSurface("scan", MODEL, arm.surface, points, weights, normals, distance),
             SurfaceToScan("back", MODEL, arm.surface, self._scan, back, distance, True, STICKING_OUT),
             GaussianPrior.isotropic("elbow", columns.translation, self._begun[columns.translation], _ELBOW),
-            GaussianPrior.isotropic("forearm", root, self._begun[root], _FOREARM),
+            GaussianPrior.isotropic("forearm", self._root, self._begun[self._root], _FOREARM),
             *prior_terms(
                 self._model,
                 columns,
