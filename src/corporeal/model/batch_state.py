@@ -34,6 +34,22 @@ class Skinned(NamedTuple):
     blended: Float[np.ndarray, "B V 12"]  # the motion of every vertex
 
 
+class Band(NamedTuple):
+    """The vertices ``first`` to ``last`` of a large batch, few enough that their rest surface is cached."""
+
+    first: int
+    last: int
+    rest: Float[np.ndarray, "V3 Bp"]  # of these vertices only
+
+
+class BandGradients(NamedTuple):
+    """What the way back of a band reads, adds to and writes."""
+
+    vertices: Float[np.ndarray, "B V 3"]  # of all vertices
+    motion: Float[np.ndarray, "s b K L"]  # added to, by each split of the vertices apart
+    rest: Float[np.ndarray, "V3 Bp"]
+
+
 class OutputGradients(NamedTuple):
     """Gradients by what posing returns; empty where there are none."""
 

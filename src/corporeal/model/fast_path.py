@@ -12,6 +12,8 @@ from torch import Tensor
 from corporeal.geometry.rotations import matrix_from_axis_angle
 from corporeal.model import lane_kernels, skinning_kernels
 from corporeal.model.batch_state import (
+    Band,
+    BandGradients,
     BatchState,
     Incoming,
     OutputGradients,
@@ -22,17 +24,17 @@ from corporeal.model.batch_state import (
 from corporeal.model.pose import FullPose
 from corporeal.model.reference import ModelTensors, PosedSurface, reference_surface
 
-# Batches from here on are posed LANES at a time; below, padding to LANES costs more than it gains.
-_MANY_FROM = 4
+# Batches from here on are posed LANES at a time. Padding costs smaller ones more than it gains: 4 bodies take
+# 1.8 times the time, 8 the same, 12 take 0.8 of it.
+_MANY_FROM = 8
 # Waking a second thread takes about 80 us: numbers of the basis, and joints, from which it pays.
 _PARALLEL_BASIS = 3_000_000
 _PARALLEL_JOINTS = 1_000
 _CHUNKS = 16
-_SPLITS = 8  # of the vertices on the way back, each with its own sums
-# A pass writes the rest surfaces of a part of a large batch by a matrix product and skins them. Its size
-# bounds the memory beside the result: passes of 16, 8 and 4 MB were measured to be 1.1, 1.3 and 1.8 times as
-# slow as one of 64 MB for 256 bodies, because the product becomes narrow.
-_PASS_BYTES = 64_000_000
+# A product of matrices writes the rest surfaces of a large batch, a band of vertices at a time, and they are
+# skinned while cached. Bands of 0.5, 1, 2 and 8 MB took 1.18, 1.08, 1.01 and 0.99 of the time for 256 bodies.
+# Bands of surfaces, not of vertices, make the product narrow; all at once maps 32 MB for each call.
+_BAND_BYTES = 4_000_000
 
 
 def fast_surface(
@@ -60,11 +62,11 @@ class _Posing(torch.autograd.Function):
         ctx.set_materialize_grads(False)
         given = _parameters(coefficients, rotation, translation)
         state = _blank_state(given, rotation, correctives)
-        kept: Skinned | list[np.ndarray]
+        kept: Skinned | Tensor
         if len(state.joints) < _MANY_FROM:
             vertices, kept = _pose_few(tensors, given, state)
         else:
-            vertices, kept = _pose_many(tensors, given, state, keep_rests=any(ctx.needs_input_grad))
+            vertices, kept = _pose_many(tensors, given, state, keep_rest=any(ctx.needs_input_grad))
         ctx.given, ctx.state, ctx.kept = given, state, kept
         return torch.from_numpy(vertices), torch.from_numpy(state.joints), torch.from_numpy(state.T)
 
@@ -139,56 +141,56 @@ def _unpose_few(
     skinning_kernels.unpose_few(chunks, given, tensors.cpu_arrays, state, kept, by, out)
 
 
-def _passes(vertices: np.ndarray) -> list[slice]:
-    """Which surfaces of (B, V, 3) go together: whole lanes."""
-    surface_bytes = vertices.itemsize * vertices.shape[1] * 3
-    step = max(1, _PASS_BYTES // surface_bytes // lane_kernels.LANES) * lane_kernels.LANES
-    return [slice(first, first + step) for first in range(0, len(vertices), step)]
+def _bands(vertex_count: int, row_bytes: int) -> list[tuple[int, int]]:
+    """Which vertices go together, by the bytes of one coordinate of all surfaces."""
+    step = max(lane_kernels.TILE, _BAND_BYTES // (3 * row_bytes))
+    return [(first, min(first + step, vertex_count)) for first in range(0, vertex_count, step)]
 
 
 def _pose_many(
-    tensors: ModelTensors, given: Parameters, state: BatchState, *, keep_rests: bool
-) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Vertices of a large batch, skinned pass by pass.
+    tensors: ModelTensors, given: Parameters, state: BatchState, *, keep_rest: bool
+) -> tuple[np.ndarray, Tensor]:
+    """Vertices of a large batch, and its rest surfaces (3 V, Bp) if they are to be kept for the way back.
 
-    The passes' rest surfaces (3 V, surfaces) are kept for the way back; where there is none, all passes write
-    to the same memory, which is mapped once.
+    Where there is none, all bands write to the same memory.
     """
     B, K = state.joints.shape[:2]
     skinning_kernels.chain(B * K > _PARALLEL_JOINTS, given, tensors.cpu_arrays, state)
-    vertices = np.empty((B, len(tensors.basis) // 3, 3), state.row.dtype)
-    basis, rows = tensors.basis[:, : state.row.shape[1]], torch.from_numpy(state.row)
-    rests: list[np.ndarray] = []
-    scratch: Tensor | None = None
-    for part in _passes(vertices):
-        columns = rows[part].T
-        if keep_rests or scratch is None or scratch.shape[1] != columns.shape[1]:
-            scratch = basis.new_empty(len(basis), columns.shape[1])
-        rest = torch.mm(basis, columns, out=scratch).numpy()
-        motion = _to_lanes(state.motion[part])
-        lane_kernels.pose_many(tensors.cpu_arrays, motion, rest, given.translation[part], vertices[part])
-        if keep_rests:
-            rests.append(rest)
+    V = len(tensors.basis) // 3
+    vertices = np.empty((B, V, 3), state.row.dtype)
+    columns, motion = torch.from_numpy(state.row).T, _to_lanes(state.motion)
+    basis = tensors.basis[:, : len(columns)]
+    bands = _bands(V, columns.shape[1] * vertices.itemsize)
+    rests = basis.new_empty(3 * (V if keep_rest else bands[0][1]), columns.shape[1])
+    for first, last in bands:
+        rest = rests[3 * first : 3 * last] if keep_rest else rests[: 3 * (last - first)]
+        torch.mm(basis[3 * first : 3 * last], columns, out=rest)
+        band = Band(first, last, rest.numpy())
+        lane_kernels.pose_many(tensors.cpu_arrays, motion, band, given.translation, vertices)
     return vertices, rests
 
 
 def _unpose_many(
-    tensors: ModelTensors, given: Parameters, state: BatchState, rests: list[np.ndarray], by: OutputGradients,
+    tensors: ModelTensors, given: Parameters, state: BatchState, rests: Tensor, by: OutputGradients,
     out: ParameterGradients,
 ) -> None:  # fmt: skip
-    """The way back of a large batch: skinning pass by pass, then the tree."""
-    basis = tensors.basis[:, : state.row.shape[1]]
-    by_motion, by_row = np.zeros_like(state.motion), np.zeros_like(state.row)
+    """The way back of a large batch: skinning band by band, then the tree."""
+    by_columns = rests.new_zeros(state.row.shape[::-1])
+    motion = _to_lanes(state.motion)
+    by_lanes = torch.zeros((lane_kernels.SPLITS, *motion.shape), dtype=rests.dtype)  # on a cache line
     out.translation[:] = torch.from_numpy(by.vertices).sum(dim=1).numpy() if len(by.vertices) else 0
-    for part, rest in zip(_passes(by.vertices), rests, strict=False):  # no pass without a gradient
-        motion = _to_lanes(state.motion[part])
-        by_lanes = np.zeros((_SPLITS, *motion.shape), rest.dtype)
-        by_rest = np.empty_like(rest)
-        lane_kernels.unpose_many(tensors.cpu_arrays, motion, rest, by.vertices[part], by_lanes, by_rest)
-        by_motion[part] = _from_lanes(by_lanes.sum(axis=0))
-        torch.mm(torch.from_numpy(by_rest).T, basis, out=torch.from_numpy(by_row[part]))
+    bands = _bands(len(rests) // 3, rests.shape[1] * rests.element_size()) if len(by.vertices) else []
+    by_rests = rests.new_empty(3 * bands[0][1] if bands else 0, rests.shape[1])
+    for first, last in bands:
+        rows = slice(3 * first, 3 * last)
+        by_rest = by_rests[: 3 * (last - first)]
+        band = Band(first, last, rests[rows].numpy())
+        gradients = BandGradients(by.vertices, by_lanes.numpy(), by_rest.numpy())
+        lane_kernels.unpose_many(tensors.cpu_arrays, motion, band, gradients)
+        by_columns.addmm_(tensors.basis[rows, : len(by_columns)].T, by_rest)
+    by_motion = _from_lanes(by_lanes.sum(dim=0).numpy())
     B, K = state.joints.shape[:2]
-    incoming = Incoming(by_motion, by_row, by.joints, by.T)
+    incoming = Incoming(by_motion, by_columns.T.contiguous().numpy(), by.joints, by.T)
     skinning_kernels.unchain(B * K > _PARALLEL_JOINTS, given, tensors.cpu_arrays, state, incoming, out)
 
 
