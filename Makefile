@@ -30,7 +30,7 @@ demo-learn: $(VENV)/.demo
 # The learned hand of the box, from nothing: two hours on two cores, and 5 GB in HAND_OUT. Resumable but for its end.
 hand: $(VENV)/.demo
 	$(BIN)/corporeal simulate $(HAND_OUT)/session --subjects 31 --poses 51 --seed 0
-	$(BIN)/corporeal register $(HAND_OUT)/session -o $(HAND_OUT)/registrations --model start_hand
+	$(BIN)/corporeal register $(HAND_OUT)/session -o $(HAND_OUT)/registrations --model soft_hand
 	$(BIN)/corporeal learn $(HAND_OUT)/registrations -o $(HAND_OUT)/hand.npz --name hand --start-shape-weight 1
 	$(BIN)/corporeal convert $(HAND_OUT)/hand.npz $(MODELS)/hand.npz --precision float16
 	$(BIN)/python assets/calibrate_detector.py --hand $(MODELS)/hand.npz
@@ -60,6 +60,8 @@ assets: $(VENV)/.demo
 	.venv-assets/bin/$(PIP_INSTALL) -e '.[assets]'
 	.venv-assets/bin/python assets/build.py
 	$(BIN)/python assets/calibrate_detector.py --hand $(MODELS)/start_hand.npz
+	.venv-assets/bin/python assets/tetrahedralise_hand.py
+	.venv-assets/bin/python assets/learn_hand_correctives.py
 	.venv-assets/bin/python assets/build_body.py --out build/body
 	$(BIN)/corporeal merge build/body/body.npz hand --name body --hand-pose full --most-joints 4 -o $(MODELS)/body.npz \
 		--precision float16

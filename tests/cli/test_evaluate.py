@@ -106,7 +106,9 @@ def test_people_that_were_learned_from_are_refused(learned, held_out_folder, tmp
     [
         (("--scored", "fist"), "'fist'"),
         (("--workers", "0"), "--workers"),
-        (("--start", "no-such-model"), "no-such-model"),
+        (("--start", "no-such-model"), "--start no-such-model"),
+        (("--asset", "no-such-model"), "--asset no-such-model"),
+        (("--asset", "body"), "another template or tree"),
     ],
 )
 def test_wrong_calls_are_refused(model_file, held_out_folder, tmp_path, capsys, options, said):

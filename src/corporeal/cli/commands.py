@@ -336,6 +336,8 @@ class Evaluate:
         output: folder for evaluation.json, evaluation.md, plots, and the models learned for comparison.
         train: folders that the model was learned from: for comparisons with models learned otherwise.
         start: the model that learning began with: hand, or a file; else the one of the first --train.
+        asset: a model that was made without flesh or scans, to be compared with where the start is a better
+            one: start_hand, or a file; else the start.
         scored: protocol pose whose scans are scored.
         variants: learn the models to compare with; without it only the given one is evaluated.
         workers: processes; as many as there are cores if not given.
@@ -347,6 +349,7 @@ class Evaluate:
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     train: tuple[Path, ...] = ()
     start: str | None = None
+    asset: str | None = None
     scored: str = "natural"
     variants: bool = True
     workers: int | None = None

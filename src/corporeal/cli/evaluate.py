@@ -54,12 +54,12 @@ def run(config: Evaluate) -> int:
         session = held_out(test.registrations, config.scored)
     except LearningError as error:
         raise CommandError(f"--test {config.test}: {error}", 2) from error
-    start = _start(config, learned.model)
+    start, asset = _start(config, learned.model), _asset(config, learned.model)
     variants, notes = _variants(config, learned, start, console)
     scans = scored_scans(test, session)
     _say(console, f"{len(scans)} scans of {len(session.hands)} hands; personal templates")
     personal = personal_models(learned.model, session)
-    study = Study(learned, session, scans, personal, start, variants)
+    study = Study(learned, session, scans, personal, start, variants, asset)
     results = _fitted(study, config.workers or os.cpu_count() or 1, console)
     truth, truth_notes = _truth(study, test, session, console)
     results = dataclasses.replace(results, truth=truth, notes=(*results.notes, *notes, *truth_notes))
@@ -78,17 +78,38 @@ def _start(config: Evaluate, model: SurfaceModel) -> SurfaceModel | None:
     """The model that learning began with, or None where nobody says which."""
     if config.start is None and not config.train:
         return None
+    if config.start is not None:
+        return _alike(config, "--start", config.start, model)
     try:
-        start = named_model(Path(config.start)) if config.start else model_of(config.train[0])
+        start = model_of(config.train[0])
     except (OSError, ModelFileError) as error:
-        raise CommandError(f"--start {config.start}: {error}", 2) from error
-    if start.template.shape != model.template.shape or start.joint_count != model.joint_count:
+        raise CommandError(f"--train {config.train[0]}: {error}", 2) from error
+    return _of_same_topology(config, "--start", start, model)
+
+
+def _asset(config: Evaluate, model: SurfaceModel) -> SurfaceModel | None:
+    """The model to compare with where it is not the start."""
+    return None if config.asset is None else _alike(config, "--asset", config.asset, model)
+
+
+def _alike(config: Evaluate, option: str, name: str, model: SurfaceModel) -> SurfaceModel:
+    try:
+        other = named_model(Path(name))
+    except (OSError, ModelFileError) as error:
+        raise CommandError(f"{option} {name}: {error}", 2) from error
+    return _of_same_topology(config, option, other, model)
+
+
+def _of_same_topology(
+    config: Evaluate, option: str, other: SurfaceModel, model: SurfaceModel
+) -> SurfaceModel:
+    if other.template.shape != model.template.shape or other.joint_count != model.joint_count:
         raise CommandError(
-            f"--start {start.name!r}: has another template or tree than {config.model}; give the model that "
+            f"{option} {other.name!r}: has another template or tree than {config.model}; give the model that "
             "its registrations were made with",
             2,
         )
-    return start
+    return other
 
 
 def _variants(

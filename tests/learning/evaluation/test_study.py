@@ -106,6 +106,11 @@ def test_what_is_compared(study, known_tube):
     assert set(pose_and_shape_free(dataclasses.replace(study, start=None))[0].models) == set(
         study.session.hands
     )
+    other = known_tube.start.replace(name="before")
+    free = {m.label: m for m in pose_and_shape_free(dataclasses.replace(study, asset=other))}
+    assert set(free) == {"learned", "asset start", "crude start", "start"}
+    assert free["asset start"].models["s06/right"] is other
+    assert free["start"].models["s06/right"] is known_tube.start
 
 
 @pytest.mark.slow

@@ -44,7 +44,7 @@ from corporeal.learning.start_model import crude_start
 from corporeal.model.surface_model import SurfaceModel
 
 LEARNED, OFF = "learned", "learned, correctives off"
-ASSET, CRUDE = "asset start", "crude start"
+ASSET, CRUDE, START = "asset start", "crude start", "start"
 LARGEST_S2M = 0.6
 """Millimetres: of the learned model, pose only, with the full pose."""
 _POSE_COMPONENTS = (1, 2, 3, 6, 10, 15, 20, 30, 45)
@@ -74,6 +74,7 @@ _RATIOS = (
     _AskedRatio("mirrored / right only", MIRRORED, ONE_SIDED, _POSE_ONLY, 0.886, 1.0),
     _AskedRatio("learned / crude start", LEARNED, CRUDE, _FREE, 0.35, 0.35),
     _AskedRatio("learned / asset start", LEARNED, ASSET, _FREE, None, 0.8),
+    _AskedRatio("learned / start", LEARNED, START, _FREE),
 )
 
 
@@ -96,6 +97,7 @@ class Study:
         personal: hand -> the learned model around the hand's own template.
         start: the model that learning began with; None leaves the comparison with it out.
         variants: models learned otherwise.
+        asset: a model from which nothing was learned, where learning began with a better one.
     """
 
     learned: LearnedModel
@@ -104,6 +106,7 @@ class Study:
     personal: Mapping[str, SurfaceModel]
     start: SurfaceModel | None
     variants: Sequence[LearnedVariant] = ()
+    asset: SurfaceModel | None = None
 
 
 def evaluated(study: Study, workers: int, on_fits: OnFits | None = None) -> EvaluationResults:
@@ -160,10 +163,12 @@ def pose_only(study: Study) -> list[ComparedModel]:
 
 
 def pose_and_shape_free(study: Study) -> list[ComparedModel]:
-    """The learned model and two starts."""
+    """The learned model, the asset and a crude start; the start too, where it is another than the asset."""
     models = {LEARNED: study.learned.model}
     if study.start is not None:
-        models |= {ASSET: study.start, CRUDE: crude_start(study.start)}
+        models |= {ASSET: study.asset or study.start, CRUDE: crude_start(study.start)}
+    if study.start is not None and study.asset is not None:
+        models[START] = study.start
     return [
         ComparedModel(
             label,
