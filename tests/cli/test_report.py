@@ -83,6 +83,10 @@ def test_errors_are_those_that_were_made(report):
     assert flags["scans"] == COUNT and flags["true_failures"] == flags["without_registration"] == 3
     assert flags["failures_marked_failed"] == 1 and flags["others_marked_failed"] == 0
     np.testing.assert_allclose(flags["others_marked_doubtful"], 3 / 9)
+    groups = report[1]["summary"]["truth_mm"]
+    assert {name: group["v2v"]["count"] for name, group in groups.items()} == {
+        "all registered": 9, "not failed": 9, "ok": 6,
+    }  # fmt: skip
 
 
 def test_the_worst_come_first(report):

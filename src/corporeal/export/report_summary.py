@@ -21,7 +21,7 @@ def summarise(
         truth_mm: scan -> its errors against the truth by name, millimetres; None where there is no truth.
     """
     truth_mm = truth_mm or {}
-    good = {item["name"] for item in items if item["status"] != "failed"}
+    status_of = {item["name"]: str(item["status"]) for item in items}
     summary: dict[str, Any] = {
         "scans": len(items),
         "counts": dict(sorted(Counter(str(item["status"]) for item in items).items())),
@@ -36,7 +36,10 @@ def summarise(
     if truth_mm:
         summary["truth_mm"] = {
             "all registered": _of_errors(list(truth_mm.values())),
-            "not failed": _of_errors([errors for name, errors in truth_mm.items() if name in good]),
+            "not failed": _of_errors(
+                [errors for name, errors in truth_mm.items() if status_of.get(name, "failed") != "failed"]
+            ),
+            "ok": _of_errors([errors for name, errors in truth_mm.items() if status_of.get(name) == "ok"]),
         }
     return summary
 
