@@ -12,8 +12,9 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from open_body.bend_truth import SettledBends, training_bends
+from open_body.bend_truth import training_bends
 from open_body.soft_correctives import STRENGTH, learned_correctives, posed_surfaces
+from settled_bends import SettledBends
 
 from corporeal.model.files import load_model, save_model
 from corporeal.model.surface_model import SurfaceModel

@@ -12,8 +12,9 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from open_hand.finger_bends import FingerBends, settled_bends
+from open_hand.finger_bends import settled_bends
 from open_hand.soft_correctives import STRENGTH, distances_to, learned_correctives
+from settled_bends import SettledBends
 
 from corporeal.model.files import open_model, save_model
 from corporeal.model.surface_model import SurfaceModel
@@ -25,7 +26,7 @@ _TRAINING, _HELD_OUT = (100, 40, 40), (20, 20)
 _STRENGTHS = (5.0, 0.5, 0.05, 0.005)
 
 
-def compare(model: SurfaceModel, training: FingerBends, held_out: FingerBends, strength: float) -> None:
+def compare(model: SurfaceModel, training: SettledBends, held_out: SettledBends, strength: float) -> None:
     """Print what held-out bends are off without correctives, with the start hand's and with learned ones."""
     learned = learned_correctives(model, training, strength)
     candidates = {

@@ -14,12 +14,13 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from open_body.bend_truth import SettledBends, held_out_bends
+from open_body.bend_truth import held_out_bends
 from open_body.bends import HELD_OUT_BENDS
 from open_body.correctives import body_correctives
 from open_body.rig import JOINT_NAMES
 from open_body.soft_correctives import posed_surfaces
 from open_body.soft_person import bone_motions
+from settled_bends import SettledBends
 
 from corporeal.cli.named_models import named_model
 from corporeal.export.sheets import (

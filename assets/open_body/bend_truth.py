@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import io
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
+from settled_bends import SettledBends, people_of
 
 from corporeal.atomic import write_bytes
 from corporeal.model.surface_model import SurfaceModel
@@ -17,47 +18,16 @@ from .soft_person import TETRAHEDRA, SoftPerson
 from .symmetry import MIRROR
 
 
-@dataclass(frozen=True, eq=False)
-class SettledBends:
-    """N settled surfaces of H people, the root neither turned nor moved.
-
-    Attributes:
-        surfaces: (N, V, 3) metres.
-        poses: (N, 55, 3) axis-angle that was reached, radians.
-        people: (N,) number of the person.
-        templates: (H, V, 3) their skins at the zero pose, metres.
-        volume_ratios: (N,) of the flesh against rest.
-    """
-
-    surfaces: np.ndarray
-    poses: np.ndarray
-    people: np.ndarray
-    templates: np.ndarray
-    volume_ratios: np.ndarray
-
-    def subset(self, rows: np.ndarray) -> SettledBends:
-        """Some of them; all people stay."""
-        return SettledBends(
-            self.surfaces[rows], self.poses[rows], self.people[rows], self.templates, self.volume_ratios[rows]
-        )
-
-    def with_mirror_images(self, model: SurfaceModel) -> SettledBends:
-        """Followed by their mirror images; people are symmetric as the model is."""
-        vertices, joints = np.asarray(model.mirror_vertices), np.asarray(model.mirror_joints)
-        return SettledBends(
-            np.concatenate([self.surfaces, self.surfaces[:, vertices] * MIRROR]),
-            np.concatenate([self.poses, self.poses[:, joints] * [1, -1, -1]]),
-            np.tile(self.people, 2),
-            self.templates,
-            np.tile(self.volume_ratios, 2),
-        )
-
-
-def people_of(model: SurfaceModel, count: int, seed: int, spread: float = 0.8) -> np.ndarray:
-    """(count, V, 3) templates: the model's own first, then drawn ones."""
-    shapes = spread * np.random.default_rng(seed).normal(size=(count, model.shape_count))
-    shapes[0] = 0
-    return model.template + np.einsum("vas,hs->hva", model.shape_directions, shapes)
+def with_mirror_images(bends: SettledBends, model: SurfaceModel) -> SettledBends:
+    """Followed by their mirror images; people are symmetric as the model is."""
+    vertices, joints = np.asarray(model.mirror_vertices), np.asarray(model.mirror_joints)
+    return SettledBends(
+        np.concatenate([bends.surfaces, bends.surfaces[:, vertices] * MIRROR]),
+        np.concatenate([bends.poses, bends.poses[:, joints] * [1, -1, -1]]),
+        np.tile(bends.people, 2),
+        bends.templates,
+        np.tile(bends.volume_ratios, 2),
+    )
 
 
 def training_bends(model: SurfaceModel, cache: Path | None = None) -> SettledBends:

@@ -6,20 +6,14 @@ are the simulation's own. Hands, jaw and eyes keep the correctives they have.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
+import settled_bends
+from settled_bends import SettledBends, fitted, learning_state
 
-from corporeal.geometry.rotations_numeric import matrix_from_axis_angle
-from corporeal.learning import skinning_kernels as kernels
-from corporeal.learning.correctives import fit_correctives
 from corporeal.learning.joint_distances import geodesic_joint_distances
-from corporeal.learning.objective import Priors
-from corporeal.learning.options import LearningOptions
-from corporeal.learning.state import LearningState, Registrations
 from corporeal.model.surface_model import SurfaceModel
 
-from .bend_truth import SettledBends
+from .bend_truth import with_mirror_images
 from .soft_person import rigid_weights
 from .symmetry import MIRROR
 
@@ -42,21 +36,13 @@ def learned_correctives(
     model: SurfaceModel, bends: SettledBends, strength: float = STRENGTH, smallest: float = _SMALLEST
 ) -> np.ndarray:
     """(V, 3, 9 K - 9) metres per rotation-matrix element: those of the body's joints learned, others kept."""
-    bends = bends.with_mirror_images(model)
+    bends, weights = with_mirror_images(bends, model), _weights(model)
     plain = model.replace(pose_directions=np.zeros_like(model.pose_directions))
     moved = np.abs(bends.surfaces - posed_surfaces(plain, bends)).max((0, 2)) > _STILL
     moved |= moved[np.asarray(model.mirror_vertices)]
     chosen = np.flatnonzero(moved)
-    state, data = _state(model, bends, chosen)
-    options = LearningOptions(corrective_strength=strength)
-    priors = Priors(
-        state.templates,
-        state.weights,
-        np.zeros((len(bends.templates), JOINTS, 3, 3)),
-        _costs(model)[:, chosen],
-    )
-    for _ in range(_SWEEPS):
-        state = fit_correctives(state, data, priors, options)
+    state, data = learning_state(model, bends, weights, chosen)
+    state = fitted(state, data, _costs(model)[:, chosen], strength, _SWEEPS)
     found = state.pose_directions.reshape(JOINTS - 1, 9, len(chosen), 3).transpose(2, 3, 0, 1)
     directions = np.zeros((model.vertex_count, 3, len(model.parents) - 1, 9))
     directions[chosen, :, : JOINTS - 1] = found
@@ -69,36 +55,12 @@ def learned_correctives(
 
 def posed_surfaces(model: SurfaceModel, bends: SettledBends) -> np.ndarray:
     """(N, V, 3) the model in the poses that were reached, around the people's own templates."""
-    state, data = _state(model, bends, np.arange(model.vertex_count))
-    directions = np.asarray(model.pose_directions, dtype=np.float64)[:, :, : 9 * (JOINTS - 1)]
-    by_feature = directions.reshape(-1, 9 * (JOINTS - 1)).T
-    state = replace(state, pose_directions=np.ascontiguousarray(by_feature))
-    surfaces, table = np.empty_like(bends.surfaces, dtype=np.float64), state.weight_table()
-    for posed in state.posed(data):
-        kernels.posed_vertices(table, posed.motions, posed.rest, surfaces[posed.rows])
-    return surfaces
+    return settled_bends.posed_surfaces(model, bends, _weights(model))
 
 
-def _state(
-    model: SurfaceModel, bends: SettledBends, chosen: np.ndarray
-) -> tuple[LearningState, Registrations]:
-    """All but the correctives, of some vertices and of the body's joints."""
-    count = len(bends.poses)
-    rotations = matrix_from_axis_angle(bends.poses[:, :JOINTS].reshape(-1, 3)).reshape(count, JOINTS, 3, 3)
-    regressor = model.joint_regressor[:JOINTS]
-    state = LearningState(
-        templates=np.ascontiguousarray(bends.templates[:, chosen]),
-        joints=np.stack([regressor @ template for template in bends.templates]),
-        weights=rigid_weights(model.skinning_weights)[chosen, :JOINTS],
-        pose_directions=np.zeros((9 * (JOINTS - 1), 3 * len(chosen))),
-        regressor=regressor,
-        rotations=rotations,
-        translations=np.zeros((count, 3)),
-        parents=np.asarray(model.parents[:JOINTS], dtype=np.int64),
-    )
-    return state, Registrations(
-        np.ascontiguousarray(bends.surfaces[:, chosen], dtype=np.float64), bends.people, np.ones(count)
-    )
+def _weights(model: SurfaceModel) -> np.ndarray:
+    """(V, JOINTS) of the body's joints."""
+    return rigid_weights(model.skinning_weights)[:, :JOINTS]
 
 
 def _costs(model: SurfaceModel) -> np.ndarray:

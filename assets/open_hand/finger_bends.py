@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from settled_bends import SettledBends, people_of
 
 from corporeal.model.surface_model import SurfaceModel
 
@@ -19,25 +18,6 @@ _THUMB_LOW, _THUMB_HIGH = np.array([-18.0, -24, -10, -10, -16]), np.array([46.0,
 _TOGETHER, _APART = 0.5, 0.2
 # A joint stays straight so often.
 _STRAIGHT = 0.15
-
-
-@dataclass(frozen=True, eq=False)
-class FingerBends:
-    """N settled surfaces of H hands, the wrist neither turned nor moved.
-
-    Attributes:
-        surfaces: (N, V, 3) metres.
-        poses: (N, 16, 3) axis-angle that was reached, radians.
-        hands: (N,) number of the hand.
-        templates: (H, V, 3) their skins at the zero pose, metres.
-        volume_ratios: (N,) of the flesh against rest.
-    """
-
-    surfaces: np.ndarray
-    poses: np.ndarray
-    hands: np.ndarray
-    templates: np.ndarray
-    volume_ratios: np.ndarray
 
 
 def random_bends(count: int, seed: int) -> np.ndarray:
@@ -56,17 +36,14 @@ def random_bends(count: int, seed: int) -> np.ndarray:
     return angles.reshape(count, 15, 3)
 
 
-def settled_bends(model: SurfaceModel, counts: tuple[int, ...], seed: int) -> FingerBends:
+def settled_bends(model: SurfaceModel, counts: tuple[int, ...], seed: int) -> SettledBends:
     """Settle so many bends of each hand: the template first, then drawn ones."""
-    generator = np.random.default_rng(seed)
-    shapes = 0.8 * generator.normal(size=(len(counts), model.shape_count))
-    shapes[0] = 0
-    templates = model.template + np.einsum("vas,hs->hva", model.shape_directions, shapes)
+    templates = people_of(model, len(counts), seed)
     found: list[SettledHand] = []
     for hand, count in enumerate(counts):
         soft = SoftOpenHand(model, templates[hand])
         found += [soft.posed(angles) for angles in random_bends(count, seed + hand)]
-    return FingerBends(
+    return SettledBends(
         np.array([one.surface for one in found]),
         np.array([one.pose for one in found]),
         np.repeat(np.arange(len(counts)), counts),
