@@ -105,8 +105,8 @@ def _of_same_topology(
 ) -> SurfaceModel:
     if other.template.shape != model.template.shape or other.joint_count != model.joint_count:
         raise CommandError(
-            f"{option} {other.name!r}: has another template or tree than {config.model}; give one of the same "
-            "mesh and joints: learning starts from the model that its registrations were made with",
+            f"{option} {other.name!r}: has another template or tree than {config.model}; give one of the "
+            "same mesh and joints (learning starts from the model that its registrations were made with)",
             2,
         )
     return other
