@@ -5,13 +5,15 @@
 SEQUENCES is what ``corporeal simulate SEQUENCES --body`` wrote, TRACKED what ``corporeal track`` did with it.
 Per sequence and over all frames:
 
-body      distance of the template's ``placed`` vertices from their true places, mean, mm; frames that failed
-          are left out, and counted as failed
+body      distance of the ``placed`` vertices of a frame's surface (the posed template with its free vertices)
+          from their true places, mean, mm; frames that failed are left out, and counted as failed
 there     the same without the hands and forearms that are missing
 hands     the same of the vertices that the scanner saw on hands that are not missing (nor their forearm)
 whole     the same of all placed vertices of those hands, seen or not
 gone      the same of all placed vertices of missing hands: how far a guess is off
-s2m       scan to model, mean, mm
+s2m       scan to the frame's surface, mean, mm
+posed     as body, of the posed template, without free vertices
+model     scan to the posed template, mean, mm
 turn      the largest turn of a finger joint to the next frame, degrees: the angle of R_before^T R_now; not
           where the recorded motion itself jumps, a joint by more than 12 cm within a frame
 back      frames until a hand that was missing is well again, the longest: the first frame after its return in
@@ -46,7 +48,7 @@ WELL_AGAIN = 1.5
 AFTER = 10
 # Metres within a frame of 1/60 s: recordings have flaws in which a limb is elsewhere at once.
 JUMP = 0.12
-COLUMNS = ("body", "there", "hands", "whole", "gone", "s2m")
+COLUMNS = ("body", "there", "hands", "whole", "gone", "s2m", "posed", "model")
 
 
 @dataclass(eq=False)
@@ -126,10 +128,14 @@ class Truth:
         with np.load(self._folder / f"{name}.npz", allow_pickle=False) as truth:
             return truth["joints"]
 
-    def distances(self, record: FrameRecord) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def distances(
+        self, record: FrameRecord, *, free: bool = True
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(V,) mm from every vertex to its true place; which have one; which the scanner saw."""
         frame = record.frame
         found = evaluate(self._model, np.zeros(0), frame.pose, frame.translation).vertices
+        if free and frame.offsets is not None:
+            found = found + frame.offsets
         with np.load(self._folder / f"{frame.name}.npz", allow_pickle=False) as truth:
             return 1e3 * np.linalg.norm(found - truth["template"], axis=1), truth["placed"], truth["seen"]
 
@@ -172,10 +178,12 @@ def _add_distances(
         score.seconds.append(frame.seconds["total"])
         if frame.s2m_mm is not None and frame.status != "failed":
             score.distances["s2m"].append(frame.s2m_mm["mean"])
+            score.distances["model"].append(frame.signals["model_s2m_mm"])
         if number % every or frame.status == "failed":
             continue
         mm, placed, seen = truth.distances(record)
         score.distances["body"].append(float(mm[placed].mean()))
+        score.distances["posed"].append(float(truth.distances(record, free=False)[0][placed].mean()))
         score.distances["there"].append(float(mm[placed & ~truth.lost(frame.name)].mean()))
         for hand, mask in truth.hands.items():
             whole = float(mm[mask & placed].mean())

@@ -51,6 +51,19 @@ def test_a_record_comes_back_to_the_last_bit_and_its_bytes_repeat(rng, tmp_path)
     assert path.read_bytes() == content and len(content) < 20_000
 
 
+def test_free_vertices_come_back_within_half_a_step(rng, tmp_path):
+    """The next write gives the same bytes: what was rounded once stays."""
+    path = tmp_path / "f.npz"
+    for size in (3e-3, 2.5):  # the second does not fit into the narrow numbers
+        offsets = size * rng.uniform(-1, 1, (18_056, 3))
+        write_frame(path, _record(rng, offsets=offsets))
+        content, found = path.read_bytes(), read_frame(path)
+        assert np.abs(found.frame.offsets - offsets).max() <= 25e-6 * (1 + 1e-9)
+        write_frame(path, found)
+        assert path.read_bytes() == content
+        assert size > 1 or len(content) < 100_000
+
+
 def test_a_frame_without_a_scan_has_neither_distances_nor_a_file(rng, tmp_path):
     lost = _record(rng, s2m_mm=None, status="failed", signals={})
     write_frame(tmp_path / "f.npz", dataclasses.replace(lost, sha256=None, stamp=None))

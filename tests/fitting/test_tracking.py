@@ -1,5 +1,7 @@
 """A hand followed through a synthetic sequence with lost data, bad frames and a break."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -79,6 +81,26 @@ def test_follows_the_hand(sequence):
         assert frame.status == "ok"
         assert _error_mm(template, frame, vertices) < 1.0
         assert frame.signals["model_seen"] > 0.9
+
+
+def test_free_vertices_follow_what_the_model_cannot(sequence):
+    """A swelling of 4 mm on the palm: the surface goes along, the verdict stays the model's, the pose too."""
+    model, template, _, _, surfaces = sequence
+    middle = surfaces[0][model.skinning_weights[:, 0] > 0.9].mean(axis=0)
+    near = np.exp(-np.sum((surfaces[0] - middle) ** 2, axis=1) / 0.02**2)
+    swollen = surfaces[0] + 4e-3 * near[:, None] * vertex_normals(surfaces[0], model.faces)
+    scan = _scan("0", swollen, model.faces)
+    frame = Tracker(template, OPTIONS).step(scan, "0")
+    fixed = Tracker(template, dataclasses.replace(OPTIONS, free_vertices=False)).step(scan, "0")
+    assert fixed.offsets is None and fixed.s2m_mm["mean"] == fixed.signals["model_s2m_mm"]
+    np.testing.assert_array_equal(frame.pose, fixed.pose)
+    assert frame.signals == fixed.signals
+    assert frame.s2m_mm["mean"] < 0.5 * fixed.s2m_mm["mean"]
+    posed = evaluate(template.model, np.zeros(0), frame.pose, frame.translation).vertices
+    errors = [
+        np.linalg.norm(found - swollen, axis=1)[near > 0.5].mean() for found in (posed, posed + frame.offsets)
+    ]
+    assert errors[1] < 0.6 * errors[0]
 
 
 def test_bad_frames_cost_nothing_but_themselves(sequence):

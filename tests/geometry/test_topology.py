@@ -107,6 +107,24 @@ def test_welding_a_soup_gives_the_mesh_back(rng: np.random.Generator, tolerance:
     np.testing.assert_allclose(welded[new_index], loose, atol=tolerance)
 
 
+@pytest.mark.parametrize("close", [0, 1, 30])
+@pytest.mark.parametrize("flat", [False, True])
+def test_welding_is_the_same_the_short_way_and_the_long_one(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, close: int, flat: bool
+) -> None:
+    """A plane across x is where the short way gives up; neighbours in x alone must not be welded."""
+    vertices = rng.uniform(0, 1, (400, 3))
+    if flat:
+        vertices[:, 0] = 0.5
+    vertices[rng.choice(200, close, replace=False)] = vertices[200 : 200 + close] + 0.4e-5
+    faces = rng.integers(0, 400, (300, 3))
+    short = topology.weld(vertices, faces, 1e-5)
+    monkeypatch.setattr(topology, "_LOOKED_AHEAD", 1)
+    for found, expected in zip(short, topology.weld(vertices, faces, 1e-5), strict=True):
+        np.testing.assert_array_equal(found, expected)
+    assert (len(short[0]) < 400) == (close > 0)
+
+
 def test_welding_drops_collapsed_faces_and_leaves_far_vertices_alone() -> None:
     vertices = np.array([[0, 0, 0], [1, 0, 0], [1 + 1e-5, 0, 0], [0, 1, 0.0]])
     faces = np.array([[0, 1, 3], [1, 2, 3]])

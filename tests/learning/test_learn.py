@@ -118,6 +118,8 @@ def test_regressor_is_sparse_and_convex(learned):
     assert regressor.data.min() >= 0
     assert np.abs(np.asarray(regressor.sum(axis=1)).ravel() - 1).max() < 1e-9
     assert np.diff(regressor.indptr).max() <= 60
+    for row in regressor:
+        assert row.data.min() >= 0.02 * row.data.max(), "no vertex bears next to nothing"
 
 
 def test_shape_coefficients_have_unit_variance(learned):

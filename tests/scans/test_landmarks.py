@@ -78,10 +78,10 @@ def test_a_mesh_that_few_views_show_is_looked_at_again_without_its_noise(capture
     mesh = dataclasses.replace(scan, faces=np.array([[0, 1, 2]]))
     smoothed = []
     monkeypatch.setattr(Subject, "smoothed", lambda self: smoothed.append(self) or self)
-    assert find_hand_landmarks(mesh, FakeDetector(marks, rng)).views_tried == 28
+    assert find_hand_landmarks(mesh, FakeDetector(marks, rng)).views_tried == 14
     assert not smoothed
     # Where a part of the views is no use, more are taken before the noise is blamed.
-    assert find_hand_landmarks(mesh, FakeDetector(marks, rng, blind=0.5)).views_tried > 28
+    assert find_hand_landmarks(mesh, FakeDetector(marks, rng, blind=0.5)).views_tried > 14
     assert not smoothed
     blind = FakeDetector(marks, rng, blind=1.0)
     assert not find_hand_landmarks(mesh, blind).ok and len(smoothed) == 1

@@ -34,6 +34,30 @@ def test_jacobians_agree_with_differences(rng, name, marks, correctives):
             assert np.abs(numeric - analytic).max() < 1e-6 * max(1.0, np.abs(analytic).max())
 
 
+@pytest.mark.parametrize(
+    ("name", "marks", "correctives"),
+    [
+        ("soft_hand", "hand_21_detector", True),
+        ("hand", "hand_21_mediapipe", False),
+        ("body", "face_68", True),
+    ],
+)
+def test_landmarks_alone_are_those_of_the_whole_surface(rng, name, marks, correctives):
+    """Posed from their own vertices, some moved by correctives and some by joints alone."""
+    model = open_model(name)
+    whole = ModelFields(model, shape_count=6, landmarks=model.landmarks[marks], correctives=correctives)
+    vector = 0.4 * rng.normal(size=whole.columns.count)
+    found, slopes = whole.landmarks_alone.derive(vector), whole.landmarks_alone.differentiate(vector)
+    assert set(found) == set(slopes) == {LANDMARKS}
+    np.testing.assert_allclose(found[LANDMARKS], whole.derive(vector)[LANDMARKS], atol=1e-13)
+    np.testing.assert_allclose(slopes[LANDMARKS], whole.differentiate(vector)[LANDMARKS], atol=1e-12)
+
+
+def test_landmarks_alone_need_landmarks():
+    with pytest.raises(ValueError, match="there are none"):
+        _ = ModelFields(open_model("hand"), shape_count=0).landmarks_alone
+
+
 def test_the_vector_and_its_names_agree(rng):
     fields = ModelFields(open_model("hand"), shape_count=4)
     vector = rng.normal(size=3 + 48 + 4)

@@ -49,7 +49,8 @@ def write_outputs(
     Raises:
         OSError: a file cannot be written.
     """
-    frames = [record.frame for record in records_of(folder, sequence)]
+    # Without free vertices, which are half a megabyte each: memory must not grow with the length.
+    frames = [dataclasses.replace(record.frame, offsets=None) for record in records_of(folder, sequence)]
     on_step(f"writing {TRACK}")
     _write_motion(folder / TRACK, sequence, template, frames)
     on_step(f"writing {ANIMATION}")
@@ -59,7 +60,7 @@ def write_outputs(
     )  # fmt: skip
     if meshes:
         on_step(f"writing {MESHES}")
-        _write_meshes(folder, template, frames)
+        _write_meshes(folder, sequence, template)
     on_step(f"writing {SHEET}")
     title = f"{sequence.name}: {len(frames)} frames, {_counted(frames)}"
     write_track_sheet(folder / SHEET, title, sheet_frames(sequence, frames, template.model))
@@ -164,13 +165,16 @@ def _write_motion(
     write_amass(path, motion, more)
 
 
-def _write_meshes(folder: Path, template: SubjectTemplate, frames: list[TrackedFrame]) -> None:
+def _write_meshes(folder: Path, sequence: ScanSequence, template: SubjectTemplate) -> None:
     """Metres, in the frame of the scans; a frame that failed has none."""
-    for frame in frames:
+    for record in records_of(folder, sequence):
+        frame = record.frame
         path = mesh_path(folder, frame.name)
         if frame.status == "failed" or path.exists():
             continue
         vertices = evaluate(template.model, np.zeros(0), frame.pose, frame.translation).vertices
+        if frame.offsets is not None:
+            vertices = vertices + frame.offsets
         write_ply(path, vertices.astype(np.float32), template.model.faces, comments=("unit: metres",))
 
 

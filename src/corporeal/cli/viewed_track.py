@@ -64,6 +64,15 @@ class _Contents:
     sequence: Mapping[str, Any] | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class _Placed:
+    """How the model lies in a frame: pose (K, 3), translation and, where there are any, offsets (V, 3)."""
+
+    pose: Float[np.ndarray, "K 3"]
+    translation: Float[np.ndarray, "3"]
+    offsets: Float[np.ndarray, "V 3"] | None
+
+
 class ViewedTrack:
     """The folder of a tracked sequence, finished or growing. It is a ``corporeal.view.track.Track``.
 
@@ -144,19 +153,27 @@ class ViewedTrack:
         """
         good = (number for number, row in enumerate(self.rows) if row.status != "failed")
         index = next(good, 0)
-        axes = Rotation.from_rotvec(self._poses(index, index + 1)[0][0, 0]).as_matrix()
+        axes = Rotation.from_rotvec(self._placed(index, index + 1)[0].pose[0]).as_matrix()
         return stance_of(self.vertices(index, index + 1)[0], axes[:, 1], axes[:, 2])
 
     def vertices(self, start: int, stop: int) -> Float32[np.ndarray, "n V 3"]:
-        """The model in these frames, metres, posed in float32; a record that is damaged stands as before."""
-        poses, places = self._poses(start, stop)
-        matrices = FullPose(torch.from_numpy(poses.astype(np.float32))).matrices()
-        moved = torch.from_numpy(places.astype(np.float32))
+        """The surfaces of these frames, metres: the model posed in float32, and its free vertices.
+
+        A record that is damaged stands as the one before.
+        """
+        frames = self._placed(start, stop)
+        poses = np.array([frame.pose for frame in frames], dtype=np.float32)
+        matrices = FullPose(torch.from_numpy(poses)).matrices()
+        moved = torch.from_numpy(np.array([frame.translation for frame in frames], dtype=np.float32))
         model = self._subject()
         # Plain torch: for a few frames as fast as the kernels, which would first be compiled, for a minute.
         with torch.no_grad():
             tensors, nothing = model.tensors(torch.float32), torch.zeros(len(poses), 0)
-            return reference_surface(tensors, nothing, matrices, moved, True).vertices.numpy()
+            vertices = reference_surface(tensors, nothing, matrices, moved, True).vertices.numpy()
+        for number, frame in enumerate(frames):
+            if frame.offsets is not None and frame.offsets.shape == vertices[number].shape:
+                vertices[number] += frame.offsets
+        return vertices
 
     def scan(self, index: int) -> ShownScan:
         """The scan of a frame, thinned, by its distance to the model; or why there is none."""
@@ -207,21 +224,20 @@ class ViewedTrack:
         self._tree[1].refit(vertices)
         return self._tree[1]
 
-    def _poses(self, start: int, stop: int) -> tuple[Float[np.ndarray, "n K 3"], Float[np.ndarray, "n 3"]]:
-        """Poses and translations of these frames, from their records."""
+    def _placed(self, start: int, stop: int) -> list[_Placed]:
+        """How the model lies in these frames, from their records."""
         now = self._now
         story = now.story or {}
-        last = np.array(story["start_pose"]), np.array(story["start_translation"])
+        last = _Placed(np.array(story["start_pose"]), np.array(story["start_translation"]), None)
         found = []
         for row in now.rows[start:stop]:
             try:
                 frame = read_frame(frame_path(self.folder, row.name)).frame
-                last = frame.pose, frame.translation
+                last = _Placed(frame.pose, frame.translation, frame.offsets)
             except (TrackFileError, OSError):
                 pass  # its row says so
             found.append(last)
-        poses, places = zip(*found, strict=True)
-        return np.stack(poses).astype(np.float64), np.stack(places).astype(np.float64)
+        return found
 
     def _subject(self) -> SurfaceModel:
         """The subject's model, read again where a restarted run has written another."""

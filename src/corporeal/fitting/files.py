@@ -22,6 +22,8 @@ TEMPLATE = "template.npz"
 TEMPLATE_STORY = "template.json"
 """Written after the template: where it is, the template is whole."""
 FRAMES = "frames"
+# Offsets are kept in steps so large, metres: a twentieth of the noise of a body scanner.
+_STEP = 5e-5
 _STATUSES: dict[str, Status] = {"ok": "ok", "doubtful": "doubtful", "failed": "failed"}
 
 
@@ -55,8 +57,9 @@ def write_frame(path: Path | str, record: FrameRecord) -> None:
     """Write a record whole or not at all; the same record gives the same bytes.
 
     Keys: ``name``, ``status``, ``reason``; ``pose`` (K, 3) and ``translation`` (3,), radians and metres;
-    ``s2m_mm``, ``signals`` and ``seconds``, each an object in JSON; ``state_*`` the fields of ``TrackState``;
-    ``sha256`` (empty where there was no scan) and ``stamp`` of the scan's file (-1 where it was missing).
+    ``s2m_mm``, ``signals`` and ``seconds``, each an object in JSON; ``offsets`` (V, 3) in steps of 50
+    micrometres, (0, 3) where there are none; ``state_*`` the fields of ``TrackState``; ``sha256`` (empty
+    where there was no scan) and ``stamp`` of the scan's file (-1 where it was missing).
 
     Raises:
         OSError: it cannot be written.
@@ -69,6 +72,7 @@ def write_frame(path: Path | str, record: FrameRecord) -> None:
     arrays |= {
         "pose": frame.pose,
         "translation": frame.translation,
+        "offsets": _in_steps(frame.offsets),
         "state_pose": state.pose,
         "state_translation": state.translation,
         "state_fitted": np.array(state.fitted),
@@ -78,6 +82,16 @@ def write_frame(path: Path | str, record: FrameRecord) -> None:
         "stamp": np.array(record.stamp or (-1, -1), dtype=np.int64),
     }
     write_archive(Path(path), arrays)
+
+
+def _in_steps(offsets: np.ndarray | None) -> np.ndarray:
+    if offsets is None:
+        return np.zeros((0, 3), dtype=np.int16)
+    steps = np.round(offsets / _STEP)
+    limits = np.iinfo(np.int16)
+    # Farther than any person is tall; the widest numbers keep it all the same.
+    small = limits.min <= steps.min() and steps.max() <= limits.max
+    return steps.astype(np.int16 if small else np.int64)
 
 
 def read_frame(path: Path | str) -> FrameRecord:
@@ -111,8 +125,10 @@ def _record(arrays: Mapping[str, np.ndarray]) -> FrameRecord:
         arrays["state_turned"],
         arrays["state_moved"],
     )
+    offsets = arrays["offsets"] * _STEP if len(arrays["offsets"]) else None
     frame = TrackedFrame(
-        name, _STATUSES[status], reason, arrays["pose"], arrays["translation"], s2m_mm, seconds, signals
+        name, _STATUSES[status], reason, arrays["pose"], arrays["translation"], s2m_mm, seconds, signals,
+        offsets,
     )  # fmt: skip
     size, changed = (int(number) for number in arrays["stamp"])
     return FrameRecord(frame, state, str(arrays["sha256"]) or None, None if size < 0 else (size, changed))

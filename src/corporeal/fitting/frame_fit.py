@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 
 from corporeal.fitting.arm_search import ArmSearch
 from corporeal.fitting.frame_data import FramePoints, HandFaces, chosen_points, seen_shares
+from corporeal.fitting.free_vertices import coupled_vertices
 from corporeal.fitting.options import AnnealingStep, TrackingOptions
 from corporeal.fitting.pose_terms import pose_terms, tracking_subspace
 from corporeal.geometry.closest_points import ClosestPoints
@@ -77,8 +78,8 @@ class FrameMeasures:
 
     @property
     def signals(self) -> dict[str, float]:
-        """All shares in one."""
-        return self.seen | {"stray": self.stray}
+        """All shares in one, and the mean distance."""
+        return self.seen | {"stray": self.stray, "model_s2m_mm": self.s2m_mm["mean"]}
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +106,8 @@ class FrameFitter:
         self.surface = MovingSurface(model.template, model.faces)
         self.hands = HandFaces.of_model(model)
         self.on_hands = self.hands.any_hand(len(model.faces))
+        # Of a whole body the scan's hands are webs between fingers, which free vertices must not follow.
+        self._webbed = self.on_hands if model.side is None else np.zeros(len(model.faces), dtype=bool)
         self._hand_vertices = np.zeros(model.vertex_count, dtype=bool)
         self._hand_vertices[np.unique(model.faces[self.on_hands])] = True
         hinges = hinge_terms(model, self.fields.columns, HINGE_SIGMA)
@@ -136,14 +139,24 @@ class FrameFitter:
         vertices = self.fields.evaluated(vector).vertices
         closest = self.surface.closest(vertices, points.positions, None)
         mm = 1e3 * closest.distances
-        s2m_mm = {
-            "mean": float(mm.mean()),
-            "median": float(np.median(mm)),
-            "p95": float(np.percentile(mm, 95)),
-            "under_1mm": float((mm < 1).mean()),
-        }
         shares = seen_shares(points, closest, vertices, self.surface, self.hands)
-        return FrameMeasures(s2m_mm, shares, float((mm > _STRAY_MM).mean()))
+        return FrameMeasures(_summary(mm), shares, float((mm > _STRAY_MM).mean()))
+
+    def aligned(
+        self, points: FramePoints, vector: Float[np.ndarray, " Q"]
+    ) -> tuple[Float[np.ndarray, "V 3"], dict[str, float]]:
+        """The free vertices of equations 20 and 23 about a fitted pose, and the scan's distances to them.
+
+        Returns:
+            Metres from the posed model's vertices to the free ones; scan to them, in mm.
+
+        Raises:
+            ArithmeticError: the system is singular.
+        """
+        posed = self.fields.evaluated(vector).vertices
+        free = coupled_vertices(posed, self.surface, points, self.options, self._webbed)
+        closest = self.surface.closest(free, points.positions, None)
+        return free - posed, _summary(1e3 * closest.distances)
 
     def arms_sought(
         self, points: FramePoints, vector: Float[np.ndarray, " Q"]
@@ -235,6 +248,15 @@ class FrameFitter:
         for arm in unseen:
             pull[list(arm.joints)] = _UNSEEN
         return pull
+
+
+def _summary(mm: Float[np.ndarray, " n"]) -> dict[str, float]:
+    return {
+        "mean": float(mm.mean()),
+        "median": float(np.median(mm)),
+        "p95": float(np.percentile(mm, 95)),
+        "under_1mm": float((mm < 1).mean()),
+    }
 
 
 def _arm(model: SurfaceModel, hinges: list[Hinges], name: str, hand: Bool[np.ndarray, " F"]) -> _Arm:

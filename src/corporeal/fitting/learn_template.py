@@ -11,7 +11,6 @@ from jaxtyping import Float
 
 from corporeal.fitting.frame_data import frame_points
 from corporeal.fitting.frame_fit import FrameFitter, FrameStart, scan_surface
-from corporeal.fitting.free_vertices import coupled_vertices
 from corporeal.fitting.options import HandPose, TrackingOptions
 from corporeal.fitting.subject_template import SubjectTemplate, personal_model
 from corporeal.fitting.track import judged
@@ -109,10 +108,10 @@ def _aligned(
     parameters = fitter.fields.parameters(solution.state.parameters)
     posed = fitter.fields.evaluated(solution.state.parameters).vertices
     try:
-        free = coupled_vertices(posed, fitter.surface, points, options, fitter.on_hands)
+        offsets, _ = fitter.aligned(points, solution.state.parameters)
     except ArithmeticError as error:
         return None, f"free vertices: {error}"
-    return _Aligned(name, unposed(fitter.model, free, parameters), parameters), ""
+    return _Aligned(name, unposed(fitter.model, posed + offsets, parameters), parameters), ""
 
 
 def _averaged(model: SurfaceModel, aligned: list[_Aligned], rejected: dict[str, str]) -> SubjectTemplate:

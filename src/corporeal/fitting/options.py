@@ -85,6 +85,8 @@ class TrackingOptions:
         components: per hand.
         hand_prior: the mixture, one Gaussian in its place, or none.
         velocity: False leaves the zero-velocity term out.
+        free_vertices: a frame's surface follows the scan beyond the model (equation 23), off the hands; False
+            leaves it the model's.
         predict: True starts a frame where the body's motion leads, False at the last frame as the paper does.
         samples: points drawn on a scan.
         body_points: of those, how many off the hands are fitted to; on the hands all are.
@@ -105,6 +107,7 @@ class TrackingOptions:
     components: int = 6
     hand_prior: HandPrior = "mixture"
     velocity: bool = True
+    free_vertices: bool = True
     predict: bool = True
     samples: int = 16_000
     body_points: int = 5_000

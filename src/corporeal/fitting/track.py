@@ -1,7 +1,7 @@
 """Stage two of tracking: all frames of a sequence with the subject's template, one after the other.
 
-Romero et al. 2017, section 4.3.2. The free vertices of equation 23 are held to the model (lambda_c without
-bound): only poses are kept of a frame.
+Romero et al. 2017, section 4.3.2. The pose is found with the free vertices of equation 23 held to the model
+(lambda_c without bound), then they with the pose held.
 """
 
 from __future__ import annotations
@@ -80,10 +80,13 @@ class TrackedFrame:
         reason: what is wrong; empty where all is well.
         pose: (K, 3) axis-angle in radians; that of the last good frame where this one failed.
         translation: (3,) metres; likewise.
-        s2m_mm: scan to model: mean, median, p95 and under_1mm; None where nothing was fitted.
+        s2m_mm: scan to the frame's surface: mean, median, p95 and under_1mm; None where nothing was fitted.
         seconds: by step, and "total".
         signals: shares of the model and of each hand that the scan confirms, near zero where it is missing;
-            and of the scan that is "stray", over 6 cm from the model.
+            and of the scan that is "stray", over 6 cm from the model; "model_s2m_mm", its mean distance to
+            the model, by which the frame is judged.
+        offsets: (V, 3) metres from the posed model's vertices to the frame's surface; None where there are
+            no free vertices, and in a frame that failed.
     """
 
     name: str
@@ -94,6 +97,7 @@ class TrackedFrame:
     s2m_mm: dict[str, float] | None
     seconds: dict[str, float]
     signals: dict[str, float]
+    offsets: Float[np.ndarray, "V 3"] | None = None
 
 
 class Tracker:
@@ -142,11 +146,16 @@ class Tracker:
         status, verdict = judged(measures, self.options.bounds)
         if status == "failed":
             return self._lost(name, verdict, seconds, measures)
+        s2m_mm, offsets = measures.s2m_mm, None
+        if self.options.free_vertices:
+            offsets, s2m_mm = self._fitter.aligned(points, vector)
+            aligned = time.perf_counter()
+            seconds |= {"free": aligned - ended, "total": aligned - begun}
         parameters = self._fitter.fields.parameters(vector)
         self.state = self.state.after(parameters.pose, parameters.translation)
         return TrackedFrame(
-            name, status, verdict, parameters.pose, parameters.translation, measures.s2m_mm, seconds,
-            measures.signals,
+            name, status, verdict, parameters.pose, parameters.translation, s2m_mm, seconds,
+            measures.signals, offsets,
         )  # fmt: skip
 
     def _fitted(

@@ -18,6 +18,9 @@ _SUM = 10.0
 # same joints; without it (2e-4) four to fourteen vertices on one side of a finger stood for its joint, and
 # other people's joints were wrong.
 _HOLD = 0.01
+# A vertex that bears less of its joint than this part of what the foremost bears is left out, and the others
+# are solved for again.
+_LEAST = 0.02
 
 
 def fit_regressor(
@@ -44,15 +47,27 @@ def fit_regressor(
 def _row(
     templates: Float[np.ndarray, "H V 3"], joints: Float[np.ndarray, "H 3"], before: Float[np.ndarray, " V"]
 ) -> Float[np.ndarray, " V"]:
+    """A joint's row, without vertices that bear next to nothing of it."""
     used = _candidates(templates.mean(axis=0), joints.mean(axis=0), before)
-    # Relative to the joint, so that the sum of one is no part of the fit.
-    places = (templates[:, used] - joints[:, None]).transpose(0, 2, 1).reshape(-1, len(used))
-    equations = np.vstack([places, _SUM * np.ones((1, len(used))), _HOLD * np.eye(len(used))])
-    wanted = np.concatenate([np.zeros(len(places)), [_SUM], _HOLD * before[used]])
-    solved, _ = nnls(equations, wanted)
+    shares = _shares(templates[:, used], joints, before[used])
+    while (kept := shares >= _LEAST * shares.max()).sum() < len(used):
+        used = used[kept]
+        shares = _shares(templates[:, used], joints, before[used])
     row = np.zeros(templates.shape[1])
-    row[used] = solved / solved.sum()
+    row[used] = shares
     return row
+
+
+def _shares(
+    places: Float[np.ndarray, "H n 3"], joints: Float[np.ndarray, "H 3"], before: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    """Shares of a joint, summing to one, by non-negative least squares."""
+    # Relative to the joint, so that the sum of one is no part of the fit.
+    arms = (places - joints[:, None]).transpose(0, 2, 1).reshape(-1, len(before))
+    equations = np.vstack([arms, _SUM * np.ones((1, len(before))), _HOLD * np.eye(len(before))])
+    wanted = np.concatenate([np.zeros(len(arms)), [_SUM], _HOLD * before])
+    solved, _ = nnls(equations, wanted)
+    return solved / solved.sum()
 
 
 def _candidates(

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from corporeal.model import jacobian_kernels as kernels
+from corporeal.model.kernel_arrays import KernelArrays
 from corporeal.model.surface_model import SurfaceModel
 from corporeal.model.vertex_groups import VertexGroup
 
@@ -164,9 +165,7 @@ def evaluate(
         ValueError: a wrong number of joints, or more coefficients than directions.
     """
     coefficients, _ = _coefficients(model, shape, expression)
-    joints = _posed_joints(model, coefficients, pose, correctives)
-    translation = np.ascontiguousarray(translation, dtype=np.float64)
-    return Evaluated(_posed_vertices(model, coefficients, joints, translation), *joints.frames(translation))
+    return _evaluated(model.kernel_arrays, coefficients, pose, translation, correctives)
 
 
 def linearise(
@@ -185,11 +184,10 @@ def linearise(
     Raises:
         ValueError: a wrong number of joints, or more coefficients than directions.
     """
-    terms = _Linearisation(model, shape, pose, expression, correctives)
+    terms = _Linearisation.of_model(model, shape, pose, expression, correctives)
     translation = np.ascontiguousarray(translation, dtype=np.float64)
-    V, K = model.vertex_count, model.joint_count
-    jacobian = terms.of_vertices(np.arange(V), 3 + 3 * np.arange(K), terms.columns.count)
-    vertices = _posed_vertices(model, terms.coefficients, terms.joints, translation)
+    jacobian = terms.of_all_vertices()
+    vertices = _posed_vertices(model.kernel_arrays, terms.coefficients, terms.joints, translation)
     frames = terms.joints.frames(translation)
     return Linearised(vertices, *frames, jacobian, terms.joint_jacobian, terms.columns)
 
@@ -207,7 +205,7 @@ def linearise_groups(
     Raises:
         ValueError: a wrong number of joints, or more coefficients than directions.
     """
-    terms = _Linearisation(model, shape, pose, expression, correctives)
+    terms = _Linearisation.of_model(model, shape, pose, expression, correctives)
     columns, jacobians = [], []
     for group in model.vertex_groups:
         own = _columns_of(group, terms.columns)
@@ -218,22 +216,59 @@ def linearise_groups(
     return GroupedLinearised(terms.joint_jacobian, tuple(columns), tuple(jacobians))
 
 
+class SomeVertices:
+    """A few vertices of a model, posed without the others: landmarks lie on a tenth of a hand's."""
+
+    def __init__(self, model: SurfaceModel, vertices: Int[np.ndarray, " n"]) -> None:
+        """Take them, in the order given, out of a model."""
+        self._model = model
+        self._arrays = model.kernel_arrays.of_vertices(vertices)
+
+    def evaluate(
+        self, shape: Float[np.ndarray, " s"], pose: Float[np.ndarray, "K 3"],
+        translation: Float[np.ndarray, 3], *, correctives: bool = True,
+    ) -> Evaluated:  # fmt: skip
+        """These vertices (n, 3) and all joints; arguments and errors as of ``evaluate``."""
+        coefficients, _ = _coefficients(self._model, shape, None)
+        return _evaluated(self._arrays, coefficients, pose, translation, correctives)
+
+    def linearise(
+        self, shape: Float[np.ndarray, " s"], pose: Float[np.ndarray, "K 3"], *, correctives: bool = True
+    ) -> tuple[Float[np.ndarray, "n 3 Q"], Float[np.ndarray, "K 3 Q"]]:
+        """Derivatives of these vertices, and of all joints, by all parameters."""
+        coefficients, chosen = _coefficients(self._model, shape, None)
+        terms = _Linearisation(self._arrays, coefficients, chosen, len(shape), pose, correctives)
+        return terms.of_all_vertices(), terms.joint_jacobian
+
+
 class _Linearisation:
     """Joints and their slopes at one pose: what the derivatives of any vertices follow from."""
 
     def __init__(
-        self, model: SurfaceModel, shape: np.ndarray, pose: np.ndarray, expression: np.ndarray | None,
-        correctives: bool,
+        self, arrays: KernelArrays, coefficients: np.ndarray, chosen: np.ndarray, shape_count: int,
+        pose: np.ndarray, correctives: bool,
     ) -> None:  # fmt: skip
-        self._arrays = arrays = model.kernel_arrays
-        self.coefficients, self._chosen = _coefficients(model, shape, expression)
-        self.joints = _posed_joints(model, self.coefficients, pose, correctives)
-        K, n = model.joint_count, len(self._chosen)
-        self.columns = ParameterColumns.of_counts(K, len(shape), n - len(shape))
+        self._arrays, self.coefficients, self._chosen = arrays, coefficients, chosen
+        self.joints = _posed_joints(arrays, coefficients, pose, correctives)
+        K, n = len(arrays.parents), len(chosen)
+        self.columns = ParameterColumns.of_counts(K, shape_count, n - shape_count)
         self._slopes = JointSlopes(np.empty((K, 3, 3)), np.empty((K, 9, 3)), np.empty((K, 3, n)))
         self.joint_jacobian = np.zeros((K, 3, self.columns.count))
         directions = arrays.joint_directions[:, :, self._chosen]
         kernels.joint_slopes(arrays, self.joints, directions, self._slopes, self.joint_jacobian)
+
+    @classmethod
+    def of_model(
+        cls, model: SurfaceModel, shape: np.ndarray, pose: np.ndarray, expression: np.ndarray | None,
+        correctives: bool,
+    ) -> _Linearisation:  # fmt: skip
+        coefficients, chosen = _coefficients(model, shape, expression)
+        return cls(model.kernel_arrays, coefficients, chosen, len(shape), pose, correctives)
+
+    def of_all_vertices(self) -> Float[np.ndarray, "V 3 Q"]:
+        """Derivatives of all vertices of the arrays, by all parameters."""
+        V, K = len(self._arrays.weight_starts) - 1, len(self._arrays.parents)
+        return self.of_vertices(np.arange(V), 3 + 3 * np.arange(K), self.columns.count)
 
     def of_vertices(
         self, vertices: Int[np.ndarray, " m"], layout: Int[np.ndarray, " K"], width: int
@@ -259,11 +294,19 @@ def _chunks(work: int) -> int:
     return _CHUNKS if work > _PARALLEL_FROM else 1
 
 
+def _evaluated(
+    arrays: KernelArrays, coefficients: np.ndarray, pose: np.ndarray, translation: np.ndarray,
+    correctives: bool,
+) -> Evaluated:  # fmt: skip
+    joints = _posed_joints(arrays, coefficients, pose, correctives)
+    translation = np.ascontiguousarray(translation, dtype=np.float64)
+    return Evaluated(_posed_vertices(arrays, coefficients, joints, translation), *joints.frames(translation))
+
+
 def _posed_vertices(
-    model: SurfaceModel, coefficients: np.ndarray, joints: JointState, translation: np.ndarray
+    arrays: KernelArrays, coefficients: np.ndarray, joints: JointState, translation: np.ndarray
 ) -> np.ndarray:
-    vertices = np.empty((model.vertex_count, 3))
-    arrays = model.kernel_arrays
+    vertices = np.empty((len(arrays.weight_starts) - 1, 3))
     work = vertices.size * (len(coefficients) + 40)
     work += arrays.correctives.size if len(joints.feature) else 0
     kernels.pose_vertices(_chunks(work), arrays, coefficients, joints, translation, vertices)
@@ -271,16 +314,16 @@ def _posed_vertices(
 
 
 def _posed_joints(
-    model: SurfaceModel, coefficients: np.ndarray, pose: np.ndarray, correctives: bool
+    arrays: KernelArrays, coefficients: np.ndarray, pose: np.ndarray, correctives: bool
 ) -> JointState:
-    K = model.joint_count
+    K = len(arrays.parents)
     if pose.shape != (K, 3):
         raise ValueError(
             f"pose: shape {pose.shape}, expected ({K}, 3): one axis-angle per joint of the model"
         )
-    joints = JointState.blank(K, model.pose_directions.shape[2] // 9 if correctives else 0)
+    joints = JointState.blank(K, K - 1 if correctives and arrays.correctives.size else 0)
     pose = np.ascontiguousarray(pose, dtype=np.float64)
-    kernels.chain_joints(model.kernel_arrays, coefficients, pose, joints)
+    kernels.chain_joints(arrays, coefficients, pose, joints)
     return joints
 
 

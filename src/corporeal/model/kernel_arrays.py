@@ -46,6 +46,25 @@ class KernelArrays(NamedTuple):
     corrected_joints: Int[np.ndarray, " p"]
     correctives: Float[np.ndarray, "p 3 9"]
 
+    def of_vertices(self, vertices: Int[np.ndarray, " n"]) -> KernelArrays:
+        """The same for some vertices alone, in the order given; joints stay those of the whole surface."""
+        rows = (3 * vertices[:, None] + np.arange(3)).ravel()
+        weights, weight_starts = _entries(self.weight_starts, vertices)
+        chain, chain_starts = _entries(self.chain_starts, vertices)
+        corrected, corrected_starts = _entries(self.corrected_starts, vertices)
+        return self._replace(
+            template=self.template[rows],
+            directions=self.directions[rows],
+            weight_starts=weight_starts,
+            weight_joints=self.weight_joints[weights],
+            weight_values=self.weight_values[weights],
+            chain_starts=chain_starts,
+            chain_joints=self.chain_joints[chain],
+            corrected_starts=corrected_starts,
+            corrected_joints=self.corrected_joints[corrected],
+            correctives=self.correctives[corrected],
+        )
+
 
 def kernel_arrays(
     *,
@@ -93,6 +112,15 @@ def _packed_correctives(
     by_joint = pose_directions.reshape(corrected.shape[0], 3, -1, 9)
     packed = by_joint[vertices, :, corrected.indices - 1]
     return _double(packed)
+
+
+def _entries(
+    starts: Int[np.ndarray, " V1"], rows: Int[np.ndarray, " n"]
+) -> tuple[Int[np.ndarray, " e"], Int[np.ndarray, " n1"]]:
+    """Of a sparse table's rows: their entries one after the other, and where each row begins among them."""
+    counts = starts[rows + 1] - starts[rows]
+    begins = np.concatenate([[0], np.cumsum(counts)])
+    return np.repeat(starts[rows] - begins[:-1], counts) + np.arange(begins[-1]), begins
 
 
 def _double(array: np.ndarray) -> np.ndarray:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
 
 from corporeal.geometry.closest_points import ClosestPoints
 from corporeal.geometry.normals import face_areas, face_normals, vertex_normals
@@ -162,6 +163,11 @@ def _near_boundary(
     low, high = segments.min((0, 1)) - _BOUNDARY_MARGIN, segments.max((0, 1)) + _BOUNDARY_MARGIN
     candidates = np.flatnonzero(((closest.points > low) & (closest.points < high)).all(axis=1))
     start, along = segments[:, 0], segments[:, 1] - segments[:, 0]
+    # Who is near a segment is near its middle: most of the box is not.
+    reach = _BOUNDARY_MARGIN + 0.5 * float(np.linalg.norm(along, axis=1).max())
+    middles = cKDTree(segments.mean(axis=1))
+    away, _ = middles.query(closest.points[candidates], distance_upper_bound=1.001 * reach)
+    candidates = candidates[np.isfinite(away)]
     length = np.maximum(np.einsum("ea,ea->e", along, along), 1e-30)
     near = np.zeros(len(closest.points), dtype=bool)
     for chunk in np.array_split(candidates, max(1, len(candidates) // 2000)):

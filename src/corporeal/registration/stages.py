@@ -28,7 +28,7 @@ from corporeal.terms.coupling import EdgeCoupling
 from corporeal.terms.distance import DistanceOptions
 from corporeal.terms.gaussian_prior import GaussianPrior
 from corporeal.terms.landmarks import LandmarkDistances
-from corporeal.terms.model_fields import LANDMARKS, MODEL, ModelFields
+from corporeal.terms.model_fields import LANDMARKS, MODEL, LandmarkFields, ModelFields
 from corporeal.terms.part_separation import PartSeparation
 from corporeal.terms.pose_subspace import block_columns
 from corporeal.terms.scan_to_surface import MovingSurface, ScanToSurface
@@ -158,8 +158,10 @@ class Fitter:
     def fit_landmarks(self, start: Float[np.ndarray, " Q"], stage: LandmarkStage) -> Solution:
         """Pose, shape and place from landmarks and priors alone."""
         terms = self._priors(stage.shape_sigma, stage.pose_prior_scale)
+        if self.landmarks is None:
+            return self._solve_model(terms, start, stage.iterations, self.fields)
         terms += self._landmark_terms(stage.sigma, stage.robust_scale)
-        return self._solve_model(terms, start, stage.iterations)
+        return self._solve_model(terms, start, stage.iterations, self.fields.landmarks_alone)
 
     def fit_surface(self, start: Float[np.ndarray, " Q"], stage: SurfaceStage) -> Solution:
         """Pose, shape and place from distances both ways."""
@@ -169,7 +171,7 @@ class Fitter:
         terms.append(self._data_term(MODEL, start, stage.points, stage.observations, options))
         terms += self._way_back(stage, options)
         terms += self._separation(MODEL, stage.separation_sigma)
-        return self._solve_model(terms, start, stage.iterations)
+        return self._solve_model(terms, start, stage.iterations, self.fields)
 
     def fit_free(
         self, start: Float[np.ndarray, " Q"], vertices: Float[np.ndarray, "V 3"], stage: FreeStage
@@ -263,8 +265,10 @@ class Fitter:
             weights=1 / topology.edge_lengths**2,
         )
 
-    def _solve_model(self, terms: list[Term], start: np.ndarray, iterations: int) -> Solution:
-        problem = Problem(terms, self.fields.derive, self.fields.differentiate)
+    def _solve_model(
+        self, terms: list[Term], start: np.ndarray, iterations: int, fields: ModelFields | LandmarkFields
+    ) -> Solution:
+        problem = Problem(terms, fields.derive, fields.differentiate)
         limits = DoglegOptions(iterations=iterations, relative_decrease=1e-3)
         if self._subspace is not None:
             return solve_within(problem, self._subspace, State(start), limits)

@@ -31,6 +31,8 @@ SPECK_AREA = 0.02
 WILD_DISTANCE = 100.0
 """Points farther from the middle than this many times the median distance are no part of the capture."""
 
+# Three indices below it, one behind the other, fit into 63 bits.
+_FITS_CUBED = 2_000_000
 LEAST_CLOUD = 64
 """Points that a cloud must keep: fewer tell no surface."""
 
@@ -111,18 +113,29 @@ def _drop_bad_faces(raw: RawScan) -> RawScan:
     """Faces without an area and faces that are there twice, then points that no face uses."""
     flat = face_areas(raw.points, raw.faces) <= 0
     kept = raw.faces[~flat]
-    _, first = np.unique(_corner_keys(kept, len(raw.points)), return_index=True)
+    keys = _corner_keys(kept, len(raw.points))
     if flat.any():
         raw = _noted(raw, f"Faces without area dropped: {flat.sum()}.")
-    if len(first) < len(kept):
+    if _has_equal(keys):
+        _, first = np.unique(keys, return_index=True)
         raw = _noted(raw, f"Faces that were there twice dropped: {len(kept) - len(first)}.")
-    return _drop_unused(dataclasses.replace(raw, faces=kept[np.sort(first)]))
+        kept = kept[np.sort(first)]
+    return _drop_unused(dataclasses.replace(raw, faces=kept))
+
+
+def _has_equal(keys: Int[np.ndarray, " n"]) -> bool:
+    """Whether a number occurs twice: a tenth of the time that it takes to say where."""
+    ordered = np.sort(keys)
+    return bool((ordered[1:] == ordered[:-1]).any())
 
 
 def _corner_keys(faces: Int[np.ndarray, "F 3"], count: int) -> Int[np.ndarray, " F"]:
     """One number for each set of corners: sorting numbers takes a fifth of the time of sorting rows."""
-    low, high = faces.min(axis=1), faces.max(axis=1)
-    middle = faces.sum(axis=1) - low - high
+    a, b, c = faces.T
+    low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+    middle = a + b + c - low - high
+    if count < _FITS_CUBED:
+        return (low * count + middle) * count + high
     edges = np.unique(low * count + high, return_inverse=True)[1].ravel()
     return edges * count + middle
 
@@ -165,7 +178,10 @@ def _turn_outward(raw: RawScan) -> RawScan:
 def _state_edges(raw: RawScan) -> RawScan:
     """Edges of more than two faces are kept, since cutting them would open holes, but stated."""
     corners = raw.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    keys = corners.min(axis=1) * len(raw.points) + corners.max(axis=1)
+    if not _has_equal(corners[:, 0] * len(raw.points) + corners[:, 1]):
+        # Of three faces at an edge, or of two that are wound alike, two run through it in one direction.
+        return raw
+    keys = np.minimum(*corners.T) * len(raw.points) + np.maximum(*corners.T)
     _, edge, face_count = np.unique(keys, return_inverse=True, return_counts=True)
     turns = np.bincount(edge.ravel(), np.where(corners[:, 0] < corners[:, 1], 1, -1))
     crowded = int((face_count > 2).sum())

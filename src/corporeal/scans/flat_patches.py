@@ -32,11 +32,12 @@ def flat_patch(scan: Scan) -> Bool[np.ndarray, " M"]:
     # Candidates are ranked on faces that stand for equal areas: on 80,000 faces that saves half a second.
     strata = (np.arange(_RANKED) + 0.5) / _RANKED * areas.sum()
     ranked = np.minimum(np.searchsorted(np.cumsum(areas), strata), count - 1)
-    counts = [
-        _on_plane(normals[ranked], middles[ranked], normals[c], middles[c], tolerance).sum()
-        for c in ranked[:: _RANKED // _CANDIDATES]
-    ]
-    winner = ranked[:: _RANKED // _CANDIDATES][int(np.argmax(counts))]
+    candidates = ranked[:: _RANKED // _CANDIDATES]
+    turned = normals[ranked] @ normals[candidates].T
+    heights = middles[ranked] @ normals[candidates].T
+    heights -= np.einsum("ca,ca->c", middles[candidates], normals[candidates])
+    counts = ((turned > _COSINE) & (np.abs(heights) < tolerance)).sum(axis=0)
+    winner = candidates[int(np.argmax(counts))]
     best = _on_plane(normals, middles, normals[winner], middles[winner], tolerance)
     share = areas[best].sum() / areas.sum()
     # A scan that is nearly all plane is no hand at all: that is for the fit to find out, not to hide here.

@@ -20,15 +20,17 @@ _TOLERANCE_COARSE, _TOLERANCE_FINE = 0.05, 0.025
 _FEWEST_VIEWS = 4
 _FEWEST_COARSE = 3
 # Of the twelve coarse views round one end, those taken first.
-_FLAT_VIEWS = 4
+_FLAT_VIEWS = 3
 # With a smaller share, a mesh is looked at again without its noise; clean scans of closed hands reach 1/3.
 _SHARE_TO_TRUST = 0.12
 # Rounds of views on either side of the hand: turns about the fingers' direction and tilts along it, degrees,
-# and how many views of all rounds so far have to agree to be done. A hand that is seen well needs 20 views.
+# and how many views of all rounds so far have to agree to be done. A hand that is seen well needs 8 views.
+# With 20, 10 and 14 of the rounds behind, and four flat views, landmarks of 80 scans were 5.7 mm off in the
+# median in place of 5.9 (6.3 and 6.4 in the mean, one over 15 in both), and took 47 pictures in place of 32.
 _ROUNDS: tuple[tuple[tuple[float, ...], tuple[float, ...], float], ...] = (
-    ((-20.0, 20.0), (-10.0, 20.0), np.inf),
-    ((-35.0, 0.0, 35.0), (-15.0, 20.0), 10),
-    ((-40.0, -15.0, 15.0, 40.0), (-20.0, 5.0, 30.0), 14),
+    ((-20.0, 20.0), (-10.0, 20.0), 6),
+    ((-35.0, 0.0, 35.0), (-15.0, 20.0), 8),
+    ((-40.0, -15.0, 15.0, 40.0), (-20.0, 5.0, 30.0), 8),
     ((-50.0, -10.0, 30.0), (-25.0, -5.0, 15.0, 35.0), np.inf),
 )
 # A hand with its wrist is about this long (metres); scans with an unknown unit come provisionally hand-sized.
@@ -80,7 +82,7 @@ def find_hand_landmarks(scan: Scan, detector: HandDetector | None = None) -> Han
 
     A coarse ring looks at both ends of the scan's long axis (an arm may hang on the hand), its flat sides
     first; then finer views frame the hand that was found, from palm and back. Both stop early where the
-    views agree: 28 views instead of 96.
+    views agree: 14 views instead of 92.
 
     Args:
         scan: mesh or point cloud, in metres (a provisional scale will do).

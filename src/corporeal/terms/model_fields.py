@@ -6,12 +6,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import scipy.sparse as sp
 from jaxtyping import Float
 
 from corporeal.model.jacobian import (
     Evaluated,
     GroupedLinearised,
     ParameterColumns,
+    SomeVertices,
     evaluate,
     linearise_groups,
 )
@@ -56,7 +58,14 @@ class ModelFields:
         self.model = model
         self.shape_count = shape_count
         self._landmarks = landmarks
-        self._correctives = correctives
+        self.correctives = correctives
+
+    @cached_property
+    def landmarks_alone(self) -> LandmarkFields:
+        """The landmarks' field without that of the vertices."""
+        if self._landmarks is None:
+            raise ValueError("landmarks: there are none")
+        return LandmarkFields(self, self._landmarks)
 
     @cached_property
     def columns(self) -> ParameterColumns:
@@ -75,7 +84,7 @@ class ModelFields:
     def evaluated(self, vector: Float[np.ndarray, " Q"]) -> Evaluated:
         """Posed vertices, joints and transforms."""
         p = self.parameters(vector)
-        return evaluate(self.model, p.shape, p.pose, p.translation, correctives=self._correctives)
+        return evaluate(self.model, p.shape, p.pose, p.translation, correctives=self.correctives)
 
     def derive(self, vector: Float[np.ndarray, " Q"]) -> dict[str, np.ndarray]:
         """Field values: "model" (V, 3) and, with a landmark set, "landmarks" (N, 3); metres."""
@@ -88,7 +97,7 @@ class ModelFields:
     def differentiate(self, vector: Float[np.ndarray, " Q"]) -> dict[str, np.ndarray | GroupedSlopes]:
         """Jacobians of the fields, each (n, 3, Q); that of the vertices by groups."""
         p = self.parameters(vector)
-        linear = linearise_groups(self.model, p.shape, p.pose, correctives=self._correctives)
+        linear = linearise_groups(self.model, p.shape, p.pose, correctives=self.correctives)
         parts = zip(self.model.vertex_groups, linear.group_columns, linear.group_jacobians, strict=True)
         slopes = GroupedSlopes(
             tuple(SlopeGroup(len(of.own), of.around, columns, jacobian) for of, columns, jacobian in parts),
@@ -98,6 +107,37 @@ class ModelFields:
         if self._landmarks is not None:
             fields[LANDMARKS] = _landmark_jacobian(self._landmarks, linear, slopes)
         return fields
+
+
+class LandmarkFields:
+    """Landmarks of a model as the one derived field of its parameter vector: no other vertex is posed."""
+
+    def __init__(self, whole: ModelFields, landmarks: LandmarkSet) -> None:
+        """Take from the fields of a model what the landmarks need.
+
+        Args:
+            whole: fields of the model.
+            landmarks: of the model.
+        """
+        used = np.unique(landmarks.weights[:, : landmarks.vertex_count].indices)
+        self._whole = whole
+        self._vertices = SomeVertices(whole.model, used)
+        of_vertices = landmarks.weights[:, used]
+        of_joints = landmarks.weights[:, landmarks.vertex_count :]
+        self._weights = sp.hstack([of_vertices, of_joints]).tocsr()
+
+    def derive(self, vector: Float[np.ndarray, " Q"]) -> dict[str, np.ndarray]:
+        """The field "landmarks" (N, 3), metres."""
+        p, correctives = self._whole.parameters(vector), self._whole.correctives
+        posed = self._vertices.evaluate(p.shape, p.pose, p.translation, correctives=correctives)
+        return {LANDMARKS: np.asarray(self._weights @ np.concatenate([posed.vertices, posed.joints]))}
+
+    def differentiate(self, vector: Float[np.ndarray, " Q"]) -> dict[str, np.ndarray | GroupedSlopes]:
+        """Its Jacobian (N, 3, Q)."""
+        p, correctives = self._whole.parameters(vector), self._whole.correctives
+        slopes = np.concatenate(self._vertices.linearise(p.shape, p.pose, correctives=correctives))
+        jacobian = np.asarray(self._weights @ slopes.reshape(len(slopes), -1))
+        return {LANDMARKS: jacobian.reshape(len(jacobian), *slopes.shape[1:])}
 
 
 def _landmark_jacobian(
