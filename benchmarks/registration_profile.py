@@ -36,7 +36,7 @@ ONE_CORE = {name: "1" for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPEN
 # Row label -> (owner, attribute) of the functions whose time is counted there.
 PARTS: dict[str, list[tuple[Any, str]]] = {
     "  pictures": [(Subject, "picture")],
-    "  detector": [(HandDetector, "detect")],
+    "  detector": [(HandDetector, "detect"), (HandDetector, "followed")],
     "  landmark fits": [(Fitter, "fit_landmarks")],
     "  surface stages": [(Fitter, "fit_surface")],
     "  free stages": [(Fitter, "fit_free")],

@@ -29,6 +29,9 @@ class FakeDetector(HandDetector):
             pixels = self.rng.uniform(0, picture.height, size=(21, 2))
         return DetectedHand(pixels, self.right, max(self.right, 1 - self.right))
 
+    def followed(self, pictures):
+        return [self.detect(picture) for picture in pictures]
+
 
 @pytest.fixture
 def capture(rng, monkeypatch):
@@ -108,7 +111,7 @@ def turned_cloud(scan: Scan, transform: np.ndarray) -> Scan:
 def test_a_real_right_hand_is_found_turned_mirrored_and_as_points(shared_data, detector):
     scan = read_scan(shared_data / "scans" / "hand-scan2knit" / "hand5.off")
     found = find_hand_landmarks(scan, detector)
-    assert found.ok and found.side_score > 0.8 and found.views_used >= 14
+    assert found.ok and found.side_score > 0.8 and found.views_used >= 6
     nearest = np.linalg.norm(scan.points[None] - found.points[:, None], axis=2).min(1)
     assert nearest.max() < 0.03
     lengths = np.linalg.norm(found.points[[8, 12, 16, 20]] - found.points[[5, 9, 13, 17]], axis=1)
@@ -119,6 +122,18 @@ def test_a_real_right_hand_is_found_turned_mirrored_and_as_points(shared_data, d
     assert other.ok and other.side_score < 0.2
     error = np.linalg.norm(other.points @ mirror - found.points, axis=1)
     assert np.median(error) < 0.003 and error.max() < 0.015
+
+
+@pytest.mark.slow
+@pytest.mark.real_data
+def test_answers_do_not_depend_on_what_was_asked_before(shared_data, detector):
+    """Hands are followed from view to view, but not from scan to scan."""
+    scan = read_scan(shared_data / "scans" / "hand-scan2knit" / "hand5.off")
+    alone = find_hand_landmarks(scan)
+    find_hand_landmarks(read_scan(shared_data / "scans" / "hand-sense" / "hand3.stl"), detector)
+    again = find_hand_landmarks(scan, detector)
+    np.testing.assert_array_equal(again.points, alone.points)
+    assert (again.side_score, again.views_used) == (alone.side_score, alone.views_used)
 
 
 @pytest.mark.slow

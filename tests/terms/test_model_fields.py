@@ -39,7 +39,7 @@ def test_jacobians_agree_with_differences(rng, name, marks, correctives):
     [
         ("soft_hand", "hand_21_detector", True),
         ("hand", "hand_21_mediapipe", False),
-        ("body", "face_68", True),
+        ("body", "mediapipe_33", True),
     ],
 )
 def test_landmarks_alone_are_those_of_the_whole_surface(rng, name, marks, correctives):

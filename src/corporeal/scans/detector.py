@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -22,6 +22,9 @@ LANDMARK_NAMES = (
         for part in ("mcp", "pip", "dip", "tip")
     ),
 )
+
+# The grey of a picture without a hand.
+_NOTHING = 110
 
 
 class DetectorMissingError(ImportError):
@@ -93,32 +96,54 @@ class HandDetector:
             DetectorMissingError: mediapipe is not installed.
         """
 
-        def make() -> Any:
+        def make(each_alone: bool) -> Any:
             from mediapipe.python.solutions.hands import Hands
 
-            return Hands(static_image_mode=True, max_num_hands=1, min_detection_confidence=minimum_confidence)
+            return Hands(
+                static_image_mode=each_alone, max_num_hands=1, min_detection_confidence=minimum_confidence
+            )
 
-        self._network = Network(make)
+        self._network = Network(lambda: make(True))
+        self._make_following = lambda: make(False)
+        self._following: Network | None = None
 
     def __enter__(self) -> HandDetector:
         return self
 
     def __exit__(self, *_: object) -> None:
         self._network.close()
+        if self._following is not None:
+            self._following.close()
 
     def detect(self, picture: UInt8[np.ndarray, "H W 3"]) -> DetectedHand | None:
         """The hand in an RGB picture, or None."""
-        result = self._network(picture)
-        if not result.multi_hand_landmarks:
-            return None
-        self._network.has_found()
-        marks = result.multi_hand_landmarks[0].landmark
-        label = result.multi_handedness[0].classification[0]
-        height, width = picture.shape[:2]
-        pixels = np.array([[mark.x * width, mark.y * height] for mark in marks])
-        # The detector speaks of mirrored selfie pictures: what it calls left is a right hand here.
-        right = float(label.score if label.label == "Left" else 1 - label.score)
-        return DetectedHand(pixels, right, float(label.score))
+        return _hand_seen(self._network, picture)
+
+    def followed(self, pictures: Sequence[UInt8[np.ndarray, "H W 3"]]) -> list[DetectedHand | None]:
+        """The hand in RGB pictures of one size that frame it alike: looked for where the one before has it.
+
+        Answers depend on these pictures alone, not on what was asked before.
+        """
+        if self._following is None:
+            self._following = Network(self._make_following)
+        if len(pictures):
+            # Nothing is to be seen where the last hand was: it is forgotten.
+            self._following(np.full_like(pictures[0], _NOTHING))
+        return [_hand_seen(self._following, picture) for picture in pictures]
+
+
+def _hand_seen(network: Network, picture: UInt8[np.ndarray, "H W 3"]) -> DetectedHand | None:
+    result = network(picture)
+    if not result.multi_hand_landmarks:
+        return None
+    network.has_found()
+    marks = result.multi_hand_landmarks[0].landmark
+    label = result.multi_handedness[0].classification[0]
+    height, width = picture.shape[:2]
+    pixels = np.array([[mark.x * width, mark.y * height] for mark in marks])
+    # The detector speaks of mirrored selfie pictures: what it calls left is a right hand here.
+    right = float(label.score if label.label == "Left" else 1 - label.score)
+    return DetectedHand(pixels, right, float(label.score))
 
 
 @contextmanager
