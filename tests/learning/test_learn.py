@@ -113,12 +113,18 @@ def test_skinning_weights_are_shares_of_at_most_four_joints(learned):
     assert (weights > 0).sum(axis=1).max() <= 4
 
 
-def test_regressor_is_sparse_and_convex(learned):
+def test_regressor_is_sparse_and_convex(learned, known_tube):
     regressor = learned.model.joint_regressor
     assert regressor.data.min() >= 0
     assert np.abs(np.asarray(regressor.sum(axis=1)).ravel() - 1).max() < 1e-9
     assert np.diff(regressor.indptr).max() <= 60
-    for row in regressor:
+    changed = [
+        row
+        for row, old in zip(regressor, known_tube.start.joint_regressor, strict=True)
+        if abs(row - old).max() > 0
+    ]
+    assert changed, "a row replaces the start's where it gives the joints better"
+    for row in changed:
         assert row.data.min() >= 0.02 * row.data.max(), "no vertex bears next to nothing"
 
 
