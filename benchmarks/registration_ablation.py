@@ -1,6 +1,6 @@
 """What every term of the registration is worth, on a part of a simulated session.
 
-    python benchmarks/registration_ablation.py SESSION REG [--scans 200] [--workers 2] [--json FILE]
+    python benchmarks/registration_ablation.py SESSION REG [--scans 200] [--workers 2] [--only NAME ...]
 
 REG holds the session's registrations (``corporeal register SESSION -o REG``): the landmarks found there and
 the priors of its accepted poses are used here, so that the variants differ in nothing but the term left out.
@@ -128,6 +128,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--model", default="start_hand", help="the one that REG was registered with")
     parser.add_argument("--json", type=Path)
+    every = [*variants().items(), ("two rounds", RegistrationOptions.for_sessions())]
+    parser.add_argument("--only", nargs="+", metavar="NAME", choices=[name for name, _ in every])
     options = parser.parse_args()
     model = open_model(options.model)
     scans = chosen_scans(options.session, options.scans, options.seed)
@@ -136,7 +138,7 @@ def main() -> None:
     results: dict[str, dict[str, float]] = {}
     print(f"{len(scans)} scans; means over those under {TRUE_FAILURE_MM:g} mm, mm")
     print(f"{'':28}{'s2m':>8}{'v2v':>8}{'normal':>8}{'tangent':>8}{'v2v all':>9}{'failed':>8}")
-    for name, chosen in [*variants().items(), ("two rounds", RegistrationOptions.for_sessions())]:
+    for name, chosen in [(name, chosen) for name, chosen in every if name in (options.only or [name])]:
         second = name == "two rounds"
         jobs = [
             ScanJob(

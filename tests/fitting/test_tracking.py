@@ -96,12 +96,12 @@ def test_free_vertices_follow_what_the_model_cannot(sequence):
     assert fixed.offsets is None and fixed.s2m_mm["mean"] == fixed.signals["model_s2m_mm"]
     np.testing.assert_array_equal(frame.pose, fixed.pose)
     assert frame.signals == fixed.signals
-    assert frame.s2m_mm["mean"] < 0.7 * fixed.s2m_mm["mean"]
+    assert frame.s2m_mm["mean"] < 0.5 * fixed.s2m_mm["mean"]
     posed = evaluate(template.model, np.zeros(0), frame.pose, frame.translation).vertices
     errors = [
         np.linalg.norm(found - swollen, axis=1)[near > 0.5].mean() for found in (posed, posed + frame.offsets)
     ]
-    assert errors[1] < 0.85 * errors[0]
+    assert errors[1] < 0.7 * errors[0]
 
 
 def test_bad_frames_cost_nothing_but_themselves(sequence):
@@ -202,6 +202,6 @@ def test_faces_that_are_held_do_not_follow_the_scan(sequence):
     points = FramePoints(surfaces[0] + 2e-3 * normals, normals, 1e-6)
     for held, bounds in ((True, (0.0, 1e-9)), (False, (0.7e-3, 2.1e-3))):
         faces = np.full(len(model.faces), held)
-        free = coupled_vertices(surfaces[0], surface, points, OPTIONS, faces)
+        free = coupled_vertices(surfaces[0], surface, points, OPTIONS, faces, OPTIONS.template_free)
         moved = np.linalg.norm(free - surfaces[0], axis=1).mean()
         assert bounds[0] <= moved <= bounds[1]

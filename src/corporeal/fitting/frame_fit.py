@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from corporeal.fitting.arm_search import ArmSearch
 from corporeal.fitting.frame_data import FramePoints, HandFaces, chosen_points, seen_shares
 from corporeal.fitting.free_vertices import coupled_vertices
-from corporeal.fitting.options import AnnealingStep, TrackingOptions
+from corporeal.fitting.options import AnnealingStep, FreeStage, TrackingOptions
 from corporeal.fitting.pose_terms import pose_terms, tracking_subspace
 from corporeal.geometry.closest_points import ClosestPoints
 from corporeal.model.surface_model import SurfaceModel
@@ -143,7 +143,7 @@ class FrameFitter:
         return FrameMeasures(_summary(mm), shares, float((mm > _STRAY_MM).mean()))
 
     def aligned(
-        self, points: FramePoints, vector: Float[np.ndarray, " Q"]
+        self, points: FramePoints, vector: Float[np.ndarray, " Q"], stage: FreeStage
     ) -> tuple[Float[np.ndarray, "V 3"], dict[str, float]]:
         """The free vertices of equations 20 and 23 about a fitted pose, and the scan's distances to them.
 
@@ -154,7 +154,7 @@ class FrameFitter:
             ArithmeticError: the system is singular.
         """
         posed = self.fields.evaluated(vector).vertices
-        free = coupled_vertices(posed, self.surface, points, self.options, self._webbed)
+        free = coupled_vertices(posed, self.surface, points, self.options, self._webbed, stage)
         closest = self.surface.closest(free, points.positions, None)
         return free - posed, _summary(1e3 * closest.distances)
 

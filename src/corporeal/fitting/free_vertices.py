@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from corporeal.fitting.frame_data import FramePoints
-from corporeal.fitting.options import TrackingOptions
+from corporeal.fitting.options import FreeStage, TrackingOptions
 from corporeal.geometry.topology import unique_edges
 from corporeal.solve.curvature import PerAxisCurvature
 from corporeal.solve.sparse import factorised
@@ -16,8 +16,6 @@ from corporeal.terms.model_fields import MODEL
 from corporeal.terms.scan_to_surface import MovingSurface, ScanToSurface
 
 FREE = "free"
-_ROBUST = 0.01
-_PASSES = 4
 _ANNEALING = 500.0
 # Edges alone do not see the surface drift away as a whole.
 _POSITION_SIGMA = 0.05
@@ -29,6 +27,7 @@ def coupled_vertices(
     points: FramePoints,
     options: TrackingOptions,
     held: Bool[np.ndarray, " F"],
+    stage: FreeStage,
 ) -> Float[np.ndarray, "V 3"]:
     """Vertices that follow the scan and keep the model's edges where there is none, or where they are held.
 
@@ -41,11 +40,11 @@ def coupled_vertices(
         points: of the scan.
         options: of tracking.
         held: faces that do not follow the scan: of hands, whose scans are webs between fingers.
+        stage: how far they follow it.
 
     Raises:
         ArithmeticError: the system is singular.
     """
-    weights = options.weights
     edges = unique_edges(surface.faces)
     lengths = np.linalg.norm(model_vertices[edges[:, 0]] - model_vertices[edges[:, 1]], axis=1)
     relative = 1 / np.maximum(lengths, 1e-4) ** 2
@@ -54,18 +53,18 @@ def coupled_vertices(
         (FREE, MODEL),
         edges,
         len(model_vertices),
-        sigma=float(np.sqrt(_ANNEALING / weights.coupling)),
+        sigma=float(np.sqrt(_ANNEALING / stage.coupling)),
         position_sigma=_POSITION_SIGMA,
         weights=relative,
     )
-    sigma = float(1 / np.sqrt(_ANNEALING * weights.data))
+    sigma = float(1 / np.sqrt(_ANNEALING * options.weights.data))
     cosine = -1.0 if points.normals is None else options.minimum_cosine
     closest = surface.closest(model_vertices, points.positions, None)
     shares = np.where(held[closest.faces], 0.0, 1.0)
-    distance = DistanceOptions(sigma, _ROBUST, 1.0, cosine)
+    distance = DistanceOptions(sigma, stage.robust_scale, 1.0, cosine)
     data = ScanToSurface("scan", FREE, surface, points.positions, shares, points.normals, distance)
     vertices = model_vertices.copy()
-    for _ in range(_PASSES):
+    for _ in range(stage.passes):
         fields = {FREE: vertices, MODEL: model_vertices}
         pulls, holds = data.at(fields).quadratic(), coupling.at(fields).quadratic()
         curvature = pulls.curvature[FREE, FREE].plus(holds.curvature[FREE, FREE])

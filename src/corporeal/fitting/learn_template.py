@@ -108,7 +108,7 @@ def _aligned(
     parameters = fitter.fields.parameters(solution.state.parameters)
     posed = fitter.fields.evaluated(solution.state.parameters).vertices
     try:
-        offsets, _ = fitter.aligned(points, solution.state.parameters)
+        offsets, _ = fitter.aligned(points, solution.state.parameters, options.template_free)
     except ArithmeticError as error:
         return None, f"free vertices: {error}"
     return _Aligned(name, unposed(fitter.model, posed + offsets, parameters), parameters), ""

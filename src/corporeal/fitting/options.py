@@ -19,8 +19,6 @@ class TrackingWeights:
             twist of a limb would go into the template, and of the first of the second (equations 12 and 22).
             In every frame of the second, the mixture's components take turns, and limbs jump with them.
         hand_pose: lambda_theta_h, over the annealing weight.
-        coupling: lambda_c of the free vertices' edges, over the annealing weight; edges relative to their
-            length.
         shape: lambda_beta, first stage only.
         velocity: lambda_r, per joint (equation 21).
     """
@@ -28,7 +26,6 @@ class TrackingWeights:
     data: float = 50.0
     body_pose: float = 2e4
     hand_pose: float = 100.0
-    coupling: float = 5e4
     shape: float = 1.0
     velocity: float = 300.0
 
@@ -46,6 +43,21 @@ class AnnealingStep:
     weight: float
     robust_scale: float
     iterations: int
+
+
+@dataclass(frozen=True)
+class FreeStage:
+    """How free vertices follow the scan about a pose that is held.
+
+    Attributes:
+        coupling: lambda_c of their edges, over the annealing weight; edges relative to their length.
+        robust_scale: of Geman-McClure, metres.
+        passes: Gauss-Newton steps.
+    """
+
+    coupling: float
+    robust_scale: float
+    passes: int
 
 
 @dataclass(frozen=True)
@@ -87,6 +99,10 @@ class TrackingOptions:
         velocity: False leaves the zero-velocity term out.
         free_vertices: a frame's surface follows the scan beyond the model (equation 23), off the hands; False
             leaves it the model's.
+        template_free: the free vertices of the first stage (equation 20), which make the template.
+        frame_free: those of a tracked frame (equation 23), which follow the scan farther: bent skin may lie
+            3 cm from the model. Of one sequence scans are 1.1 mm from them, and 2.6 with the numbers of the
+            first stage.
         predict: True starts a frame where the body's motion leads, False at the last frame as the paper does.
         samples: points drawn on a scan.
         body_points: of those, how many off the hands are fitted to; on the hands all are.
@@ -108,6 +124,8 @@ class TrackingOptions:
     hand_prior: HandPrior = "mixture"
     velocity: bool = True
     free_vertices: bool = True
+    template_free: FreeStage = FreeStage(coupling=5e4, robust_scale=0.01, passes=4)
+    frame_free: FreeStage = FreeStage(coupling=5e3, robust_scale=0.03, passes=6)
     predict: bool = True
     samples: int = 16_000
     body_points: int = 5_000

@@ -148,7 +148,7 @@ class Tracker:
             return self._lost(name, verdict, seconds, measures)
         s2m_mm, offsets = measures.s2m_mm, None
         if self.options.free_vertices:
-            offsets, s2m_mm = self._fitter.aligned(points, vector)
+            offsets, s2m_mm = self._fitter.aligned(points, vector, self.options.frame_free)
             aligned = time.perf_counter()
             seconds |= {"free": aligned - ended, "total": aligned - begun}
         parameters = self._fitter.fields.parameters(vector)
