@@ -101,7 +101,7 @@ class TrackingOptions:
             leaves it the model's.
         template_free: the free vertices of the first stage (equation 20), which make the template.
         frame_free: those of a tracked frame (equation 23), which follow the scan farther: bent skin may lie
-            3 cm from the model. Of one sequence scans are 1.1 mm from them, and 2.6 with the numbers of the
+            3 cm from the model. Of one sequence scans lie 1.1 mm from them, and 2.6 with the numbers of the
             first stage.
         predict: True starts a frame where the body's motion leads, False at the last frame as the paper does.
         samples: points drawn on a scan.
