@@ -7,15 +7,18 @@ from corporeal.model.files import open_model
 from corporeal.solve.grouped_slopes import GroupedSlopes
 from corporeal.terms.model_fields import LANDMARKS, MODEL, ModelFields
 
-
-@pytest.mark.parametrize(
+EVERY_KIND = pytest.mark.parametrize(
     ("name", "marks", "correctives"),
     [
         ("hand", "hand_21_mediapipe", True),
         ("hand", "hand_21_mediapipe", False),
+        ("soft_hand", "hand_21_detector", True),
         ("body", "mediapipe_33", True),
     ],
 )
+
+
+@EVERY_KIND
 def test_jacobians_agree_with_differences(rng, name, marks, correctives):
     model = open_model(name)
     fields = ModelFields(model, shape_count=7, landmarks=model.landmarks[marks], correctives=correctives)
@@ -34,14 +37,7 @@ def test_jacobians_agree_with_differences(rng, name, marks, correctives):
             assert np.abs(numeric - analytic).max() < 1e-6 * max(1.0, np.abs(analytic).max())
 
 
-@pytest.mark.parametrize(
-    ("name", "marks", "correctives"),
-    [
-        ("soft_hand", "hand_21_detector", True),
-        ("hand", "hand_21_mediapipe", False),
-        ("body", "mediapipe_33", True),
-    ],
-)
+@EVERY_KIND
 def test_landmarks_alone_are_those_of_the_whole_surface(rng, name, marks, correctives):
     """Posed from their own vertices, some moved by correctives and some by joints alone."""
     model = open_model(name)

@@ -142,21 +142,19 @@ class FrameFitter:
         shares = seen_shares(points, closest, vertices, self.surface, self.hands)
         return FrameMeasures(_summary(mm), shares, float((mm > _STRAY_MM).mean()))
 
-    def aligned(
-        self, points: FramePoints, vector: Float[np.ndarray, " Q"], stage: FreeStage
-    ) -> tuple[Float[np.ndarray, "V 3"], dict[str, float]]:
-        """The free vertices of equations 20 and 23 about a fitted pose, and the scan's distances to them.
-
-        Returns:
-            Metres from the posed model's vertices to the free ones; scan to them, in mm.
+    def freed(
+        self, points: FramePoints, posed: Float[np.ndarray, "V 3"], stage: FreeStage
+    ) -> Float[np.ndarray, "V 3"]:
+        """The free vertices of equations 20 and 23 about those of a fitted pose, metres.
 
         Raises:
             ArithmeticError: the system is singular.
         """
-        posed = self.fields.evaluated(vector).vertices
-        free = coupled_vertices(posed, self.surface, points, self.options, self._webbed, stage)
-        closest = self.surface.closest(free, points.positions, None)
-        return free - posed, _summary(1e3 * closest.distances)
+        return coupled_vertices(posed, self.surface, points, self.options, self._webbed, stage)
+
+    def s2m_mm(self, points: FramePoints, vertices: Float[np.ndarray, "V 3"]) -> dict[str, float]:
+        """Distances of all sampled points to a surface: mean, median, p95 and under_1mm."""
+        return _summary(1e3 * self.surface.closest(vertices, points.positions, None).distances)
 
     def arms_sought(
         self, points: FramePoints, vector: Float[np.ndarray, " Q"]

@@ -7,7 +7,6 @@ from jaxtyping import Bool, Float
 
 from corporeal.fitting.frame_data import FramePoints
 from corporeal.fitting.options import FreeStage, TrackingOptions
-from corporeal.geometry.topology import unique_edges
 from corporeal.solve.curvature import PerAxisCurvature
 from corporeal.solve.sparse import factorised
 from corporeal.terms.coupling import EdgeCoupling
@@ -45,7 +44,7 @@ def coupled_vertices(
     Raises:
         ArithmeticError: the system is singular.
     """
-    edges = unique_edges(surface.faces)
+    edges = surface.edges
     lengths = np.linalg.norm(model_vertices[edges[:, 0]] - model_vertices[edges[:, 1]], axis=1)
     relative = 1 / np.maximum(lengths, 1e-4) ** 2
     coupling = EdgeCoupling(

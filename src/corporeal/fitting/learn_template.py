@@ -108,10 +108,10 @@ def _aligned(
     parameters = fitter.fields.parameters(solution.state.parameters)
     posed = fitter.fields.evaluated(solution.state.parameters).vertices
     try:
-        offsets, _ = fitter.aligned(points, solution.state.parameters, options.template_free)
+        free = fitter.freed(points, posed, options.template_free)
     except ArithmeticError as error:
         return None, f"free vertices: {error}"
-    return _Aligned(name, unposed(fitter.model, posed + offsets, parameters), parameters), ""
+    return _Aligned(name, unposed(fitter.model, free, parameters), parameters), ""
 
 
 def _averaged(model: SurfaceModel, aligned: list[_Aligned], rejected: dict[str, str]) -> SubjectTemplate:

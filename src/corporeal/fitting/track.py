@@ -148,9 +148,11 @@ class Tracker:
             return self._lost(name, verdict, seconds, measures)
         s2m_mm, offsets = measures.s2m_mm, None
         if self.options.free_vertices:
-            offsets, s2m_mm = self._fitter.aligned(points, vector, self.options.frame_free)
-            aligned = time.perf_counter()
-            seconds |= {"free": aligned - ended, "total": aligned - begun}
+            posed = self._fitter.fields.evaluated(vector).vertices
+            free = self._fitter.freed(points, posed, self.options.frame_free)
+            offsets, s2m_mm = free - posed, self._fitter.s2m_mm(points, free)
+            freed = time.perf_counter()
+            seconds |= {"free": freed - ended, "total": freed - begun}
         parameters = self._fitter.fields.parameters(vector)
         self.state = self.state.after(parameters.pose, parameters.translation)
         return TrackedFrame(

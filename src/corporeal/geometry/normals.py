@@ -40,9 +40,9 @@ def vertex_normals(
     Zero for a vertex that no face with an area refers to.
     """
     vertices, faces = _checked(vertices, faces)
-    total = np.zeros((len(vertices), 3), dtype=vertices.dtype)
+    total = np.zeros((3, len(vertices), 3), dtype=vertices.dtype)
     kernels.add_corner_normals(vertices, faces, face_vectors(vertices, faces), total)
-    return _unit(total)
+    return _unit(total.sum(axis=0))
 
 
 def _checked(

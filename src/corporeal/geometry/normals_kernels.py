@@ -22,7 +22,10 @@ def fill_face_vectors(vertices, faces, vectors):
 
 @njit(cache=True, error_model="numpy")
 def add_corner_normals(vertices, faces, vectors, total):
-    """Add every face's unit normal to its corners, times the angle there; ``total`` (V, 3) begins at zero."""
+    """Add every face's unit normal to its corners, times the angle there.
+
+    ``total`` (3, V, 3) begins at zero: first corners, second corners and third corners add up apart.
+    """
     for f in range(len(faces)):
         x, y, z = vectors[f, 0], vectors[f, 1], vectors[f, 2]
         length = np.sqrt(x * x + y * y + z * z)
@@ -36,6 +39,6 @@ def add_corner_normals(vertices, faces, vectors, total):
                 here = vertices[i, axis]
                 cosine += (vertices[j, axis] - here) * (vertices[k, axis] - here)
             angle = np.arctan2(length, cosine)
-            total[i, 0] += angle * x
-            total[i, 1] += angle * y
-            total[i, 2] += angle * z
+            total[corner, i, 0] += angle * x
+            total[corner, i, 1] += angle * y
+            total[corner, i, 2] += angle * z

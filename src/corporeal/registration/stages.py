@@ -9,10 +9,9 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 import scipy.sparse as sp
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from corporeal.geometry.self_intersection import PartSurfaces
-from corporeal.geometry.topology import unique_edges
 from corporeal.model.landmarks import LandmarkSet
 from corporeal.model.parts import part_labels
 from corporeal.model.surface_model import SurfaceModel
@@ -76,7 +75,6 @@ class _Topology:
 
     surface: MovingSurface
     parts: PartSurfaces | None
-    edges: Int[np.ndarray, "E 2"]
     edge_lengths: Float[np.ndarray, " E"]
     hands: Bool[np.ndarray, " V"]
 
@@ -258,7 +256,7 @@ class Fitter:
         return EdgeCoupling(
             "coupling",
             (FREE, MODEL),
-            topology.edges,
+            topology.surface.edges,
             self.model.vertex_count,
             sigma=stage.coupling_sigma,
             position_sigma=stage.position_sigma,
@@ -278,11 +276,10 @@ class Fitter:
 def _topology(model: SurfaceModel) -> _Topology:
     found = _TOPOLOGIES.get(model)
     if found is None:
-        edges = unique_edges(model.faces)
-        ends = model.template[edges]
-        lengths = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
         surface = MovingSurface(model.template, model.faces)
-        found = _Topology(surface, _parts(model), edges, lengths, on_hands(model))
+        ends = model.template[surface.edges]
+        lengths = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
+        found = _Topology(surface, _parts(model), lengths, on_hands(model))
         _TOPOLOGIES[model] = found
     return found
 

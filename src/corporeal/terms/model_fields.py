@@ -124,19 +124,20 @@ class LandmarkFields:
         self._vertices = SomeVertices(whole.model, used)
         of_vertices = landmarks.weights[:, used]
         of_joints = landmarks.weights[:, landmarks.vertex_count :]
-        self._weights = sp.hstack([of_vertices, of_joints]).tocsr()
+        weights = sp.hstack([of_vertices, of_joints]).tocsr()
+        self._landmarks = LandmarkSet(landmarks.names, weights, len(used))
 
     def derive(self, vector: Float[np.ndarray, " Q"]) -> dict[str, np.ndarray]:
         """The field "landmarks" (N, 3), metres."""
         p, correctives = self._whole.parameters(vector), self._whole.correctives
         posed = self._vertices.evaluate(p.shape, p.pose, p.translation, correctives=correctives)
-        return {LANDMARKS: np.asarray(self._weights @ np.concatenate([posed.vertices, posed.joints]))}
+        return {LANDMARKS: self._landmarks.positions(posed.vertices, posed.joints)}
 
     def differentiate(self, vector: Float[np.ndarray, " Q"]) -> dict[str, np.ndarray | GroupedSlopes]:
         """Its Jacobian (N, 3, Q)."""
         p, correctives = self._whole.parameters(vector), self._whole.correctives
         slopes = np.concatenate(self._vertices.linearise(p.shape, p.pose, correctives=correctives))
-        jacobian = np.asarray(self._weights @ slopes.reshape(len(slopes), -1))
+        jacobian = np.asarray(self._landmarks.weights @ slopes.reshape(len(slopes), -1))
         return {LANDMARKS: jacobian.reshape(len(jacobian), *slopes.shape[1:])}
 
 

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 
 from corporeal.geometry.closest_points import ClosestPoints, SurfaceTree
 from corporeal.geometry.normals import face_normals
-from corporeal.geometry.topology import boundary_edges, open_sides
+from corporeal.geometry.topology import boundary_edges, open_sides, unique_edges
 from corporeal.solve.curvature import Curvature
 from corporeal.solve.problem import Fields, Quadratic
 from corporeal.terms.distance import DistanceOptions, WeightedDistances
@@ -26,6 +26,11 @@ class MovingSurface:
         self.pattern = MeshPattern(self.faces, len(vertices))
         self.boundary = boundary_edges(self.faces)
         self._on_boundary = open_sides(self.faces)
+
+    @cached_property
+    def edges(self) -> Int[np.ndarray, "E 2"]:
+        """Every edge once."""
+        return unique_edges(self.faces)
 
     def closest(
         self, vertices: Float[np.ndarray, "V 3"], points: Float[np.ndarray, "n 3"], start: np.ndarray | None

@@ -48,8 +48,8 @@ def test_curves_over_scans_do_not_depend_on_which_process_fitted_what(scans, com
     assert (own.protocol, free.protocol) == ("pose only", "pose and shape free")
     assert (own.n_scans, own.n_subjects) == (3, 2)
     assert [scan.name for scan in own.scans] == ["scan0", "scan1", "scan0 again"]
-    # A start that is a nanometre off is enough for 0.08 or 0.13 mm of scan1, and for 0.08 or 0.095 of scan0.
-    assert own.mean[0] > own.mean[1] > own.full.mean and own.full.median < 0.1
+    # The median: of scan1, a start that is a nanometre off is enough for 0.08 or 0.13 mm, of scan0 it is not.
+    assert own.mean[0] > own.mean[1] > own.full.mean and own.full.median < 0.09
     assert off.full.mean > 1.5 * own.full.mean and off.components == () == off.mean
     here = fitted(compared[0], scans[1][0])
     assert here.full.mean == pytest.approx(own.scans[0].full.mean, rel=1e-3)
