@@ -63,7 +63,7 @@ def write_outputs(
         _write_meshes(folder, sequence, template)
     on_step(f"writing {SHEET}")
     title = f"{sequence.name}: {len(frames)} frames, {_counted(frames)}"
-    write_track_sheet(folder / SHEET, title, sheet_frames(sequence, frames, template.model))
+    write_track_sheet(folder / SHEET, title, sheet_frames(sequence, folder, template.model))
     story = read_story(folder) or {}
     report = {
         "sequence": sequence_facts(sequence),

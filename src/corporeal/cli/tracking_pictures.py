@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -10,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from corporeal.cli.tracking_start import read_frame_scan
 from corporeal.export.track_sheet import SheetFrame, SheetPicture
+from corporeal.fitting.files import frame_path, read_frame
 from corporeal.fitting.track import TrackedFrame
 from corporeal.geometry.closest_points import SurfaceTree
 from corporeal.model.jacobian import evaluate
@@ -24,13 +26,20 @@ _NEVER = 0.05
 
 
 def sheet_frames(
-    sequence: ScanSequence, frames: list[TrackedFrame], model: SurfaceModel, count: int = _SHOWN
+    sequence: ScanSequence, folder: Path, model: SurfaceModel, count: int = _SHOWN
 ) -> Iterator[SheetFrame]:
-    """At most ``count`` frames spread evenly over a sequence, seen from the front of the person."""
-    chosen = np.unique(np.linspace(0, len(frames) - 1, count).round().astype(int))
-    for index in chosen.tolist():
-        frame = frames[index]
-        scan = read_frame_scan(sequence.frames[index], model, sequence.unit).scan
+    """At most ``count`` frames spread evenly over a sequence, seen from the front of the person.
+
+    Args:
+        sequence: whose frames all have a record.
+        folder: of the records.
+        model: of the subject.
+        count: of frames.
+    """
+    chosen = np.unique(np.linspace(0, len(sequence.frames) - 1, count).round().astype(int))
+    for listed in [sequence.frames[index] for index in chosen.tolist()]:
+        frame = read_frame(frame_path(folder, listed.name)).frame
+        scan = read_frame_scan(listed, model, sequence.unit).scan
         whole, details = _pictures(frame, scan, model)
         yield SheetFrame(whole, details, *_words(frame))
 
@@ -46,9 +55,10 @@ def _pictures(
         unknown, nothing = np.full(len(points), np.nan), np.zeros((0, 3))
         return SheetPicture(points, scan_faces, unknown, nothing, model.faces, -forward, up), ()
     posed = evaluate(model, np.zeros(0), frame.pose, frame.translation)
-    closest = SurfaceTree(posed.vertices, model.faces).closest(points)
+    vertices = posed.vertices if frame.offsets is None else posed.vertices + frame.offsets
+    closest = SurfaceTree(vertices, model.faces).closest(points)
     errors = np.where(closest.distances < _NEVER, 1e3 * closest.distances, np.nan)
-    whole = SheetPicture(points, scan_faces, errors, posed.vertices, model.faces, -forward, up)
+    whole = SheetPicture(points, scan_faces, errors, vertices, model.faces, -forward, up)
     # A model of one hand is its own close-up.
     hands = [block for block in model.pose_blocks if len(block.components)] if model.side is None else []
     details = []
