@@ -15,15 +15,20 @@ from corporeal.terms.model_fields import ModelParameters
 
 
 def test_the_full_pose_reaches_the_noise(bent_tube, tube_scan, personal):
-    known = tube_scan(1)
-    model = personal(bent_tube, known.true)
-    fit = fit_model(model, known.scan, known.start(model, PoseOnly()), PoseOnly())
-    assert fit.status == "ok" and fit.parameters.shape.shape == (0,)
-    # Half-normal: the mean distance of noise of 0.1 mm is 0.08 mm.
-    assert fit.s2m_mm["mean"] < 0.09 and fit.s2m_mm["p95"] < 0.25
-    fitted = evaluate(model, np.zeros(0), fit.parameters.pose, fit.parameters.translation).vertices
-    true = evaluate(bent_tube, known.true.shape, known.true.pose, known.true.translation).vertices
-    assert np.linalg.norm(fitted - true, axis=1).mean() < 1e-4
+    s2m, v2v = [], []
+    for seed in range(1, 5):
+        known = tube_scan(seed)
+        model = personal(bent_tube, known.true)
+        fit = fit_model(model, known.scan, known.start(model, PoseOnly()), PoseOnly())
+        assert fit.status == "ok" and fit.parameters.shape.shape == (0,)
+        assert fit.s2m_mm["p95"] < 0.25
+        s2m.append(fit.s2m_mm["mean"])
+        fitted = evaluate(model, np.zeros(0), fit.parameters.pose, fit.parameters.translation).vertices
+        true = evaluate(bent_tube, known.true.shape, known.true.pose, known.true.translation).vertices
+        v2v.append(np.linalg.norm(fitted - true, axis=1).mean())
+    # Half-normal: the mean distance of noise of 0.1 mm is 0.08 mm. Of several scans: one alone ends 0.008 mm
+    # lower or higher by the last bit of a normal, since pairs of points come and go with it.
+    assert np.mean(s2m) < 0.09 and np.mean(v2v) < 1e-4
 
 
 def test_the_objective_falls_with_the_components_and_poses_lie_in_them(bent_tube, tube_scan, personal):
