@@ -115,7 +115,7 @@ class Merge:
     hand_pose: Literal["pca", "full"] = "pca"
     hand_components: int = 6
     most_joints: int | None = None
-    seam_width: float = 20.0
+    seam_width: float = 30.0
     seam_poses: int = 200
     name: str | None = None
     layout: Literal["native", "official"] = "native"

@@ -15,24 +15,30 @@ from corporeal.model.merging.tree import MergedTree
 from corporeal.model.surface_model import SurfaceModel
 
 
-def fade_in(body: SurfaceModel, vertices: Int[np.ndarray, " n"], width: float) -> Float[np.ndarray, " n"]:
-    """How much of the hand's a vertex takes: 0 at the seam, 1 from ``width`` metres behind it, smooth.
+def seam_distances(body: SurfaceModel, vertices: Int[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Metres from the seam to every vertex of a hand, along the edges of the body's template.
 
-    The seam are those vertices of the hand that have a neighbour outside; where there is none, as in a body
-    that is nothing but hands, everything is the hand's. Distances run along the edges.
+    The seam are those vertices of the hand that have a neighbour outside. Infinite where there is none, as in
+    a body that is nothing but hands.
     """
     inside = np.zeros(body.vertex_count, dtype=bool)
     inside[vertices] = True
     edges = unique_edges(body.faces)
     crossing = edges[inside[edges[:, 0]] != inside[edges[:, 1]]]
-    if not len(crossing) or width <= 0:
-        return np.ones(len(vertices))
+    if not len(crossing):
+        return np.full(len(vertices), np.inf)
     seam = np.unique(crossing[inside[crossing]])
     own = edges[inside[edges].all(axis=1)]
     lengths = np.linalg.norm(body.template[own[:, 0]] - body.template[own[:, 1]], axis=1)
     size = (body.vertex_count, body.vertex_count)
     graph = sp.csr_matrix((np.maximum(lengths, 1e-9), (own[:, 0], own[:, 1])), shape=size)
-    distances = dijkstra(graph, directed=False, indices=seam, min_only=True)[vertices]
+    return dijkstra(graph, directed=False, indices=seam, min_only=True)[vertices]
+
+
+def fade_in(distances: Float[np.ndarray, " n"], width: float) -> Float[np.ndarray, " n"]:
+    """How much of the hand's a vertex takes: 0 at the seam, 1 from ``width`` metres behind it, smooth."""
+    if width <= 0:
+        return np.ones(len(distances))
     share = np.clip(distances / width, 0, 1)
     return share**2 * (3 - 2 * share)
 

@@ -14,27 +14,31 @@ from corporeal.model.surface_model import SurfaceModel
 
 _WRIST = np.deg2rad(60.0)
 _OTHERS = np.deg2rad(20.0)
+# Metres behind the hand's border that count as its seam.
+_ZONE = 0.02
 
 
 def seam_edges(
-    faces: Int[np.ndarray, "F 3"], count: int, share: Mapping[str, tuple[np.ndarray, np.ndarray]]
+    faces: Int[np.ndarray, "F 3"], count: int, behind: Mapping[str, tuple[np.ndarray, np.ndarray]]
 ) -> Int[np.ndarray, "E 2"]:
-    """Edges from the body into the hand, and those over which the hand is faded in.
+    """Edges from the body into the hand, and those of the hand that begin within 20 mm behind them.
+
+    How wide the hand is faded in does not change them, so that widths compare.
 
     Args:
         faces: of the body.
         count: of its vertices.
-        share: side -> vertices of the hand, and how much of the hand's each takes.
+        behind: side -> vertices of the hand, and metres of each behind the seam.
     """
-    taken = np.zeros(count)
+    distance = np.full(count, np.inf)
     inside = np.zeros(count, dtype=bool)
-    for vertices, amounts in share.values():
-        taken[vertices] = amounts
+    for vertices, distances in behind.values():
+        distance[vertices] = distances
         inside[vertices] = True
     edges = unique_edges(faces)
     crossing = inside[edges[:, 0]] != inside[edges[:, 1]]
-    fading = (taken[edges].min(axis=1) < 1) & inside[edges].all(axis=1)
-    return edges[crossing | fading]
+    near = (distance[edges].min(axis=1) < _ZONE) & inside[edges].all(axis=1)
+    return edges[crossing | near]
 
 
 def seam_poses(merged: SurfaceModel, poses: int, rng: np.random.Generator) -> Float[np.ndarray, "n K 3"]:
