@@ -30,7 +30,7 @@ demo-learn: $(VENV)/.demo
 # The learned hand of the box, from nothing: two hours on two cores, and 5 GB in HAND_OUT. Resumable but for its end.
 hand: $(VENV)/.demo
 	$(BIN)/corporeal simulate $(HAND_OUT)/session --subjects 31 --poses 51 --seed 0
-	$(BIN)/corporeal register $(HAND_OUT)/session -o $(HAND_OUT)/registrations --model soft_hand
+	$(BIN)/corporeal register $(HAND_OUT)/session -o $(HAND_OUT)/registrations --model soft_hand --rounds 2
 	$(BIN)/corporeal learn $(HAND_OUT)/registrations -o $(HAND_OUT)/hand.npz --name hand --start-shape-weight 1
 	$(BIN)/corporeal convert $(HAND_OUT)/hand.npz $(MODELS)/hand.npz --precision float16
 	$(BIN)/python assets/calibrate_detector.py --hand $(MODELS)/hand.npz

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sp
 
+from corporeal.learning import skinning_kernels as kernels
 from corporeal.learning.objective import Priors
 from corporeal.learning.options import LearningOptions
 from corporeal.learning.poses import fit_poses
@@ -16,6 +17,11 @@ from corporeal.learning.templates import fit_joints, fit_templates
 # A vertex with this much of its weight on one joint moves with one bone.
 _RIGID = 0.9
 _FEWEST = 8
+# After these passes every bone keeps this share of its vertices, the most rigid ones: 0.4 in all.
+_CUTS = (4, 7)
+_KEPT = 0.4**0.5
+# Metres from which on a distance counts no more: a bad registration must not choose the vertices.
+_FAR = 4e-3
 
 
 def first_joints(
@@ -26,29 +32,67 @@ def first_joints(
     The flesh around a joint follows neither bone: with all vertices, the webs of the fingers drew the
     knuckles 3 mm towards the wrist, and pose correctives, which can express any shift of a joint exactly ((R
     - I) d is linear in the features), then made up for it. Therefore joints come before correctives, from
-    nearly rigid vertices. Where a joint turns about one axis only, its place along it is the start model's.
+    nearly rigid vertices; which these are the registrations tell, and skin that slides over its bone (the
+    ball of the thumb) drops out. Where a joint turns about one axis only, its place along it is the start
+    model's.
+
+    Learned from half of a simulated session, joints were 2.66 mm from the true ones with all vertices of a
+    bone and 2.47 with 0.4 of them (0.15 and more passes: no better); 2.04 where the true surfaces took the
+    registrations' place.
     """
-    rigid = _rigid_vertices(state)
-    held = state.joints
+    part = _part(state, data, priors, _rigid_vertices(state))
+    for number in range(options.first_passes):
+        if number in _CUTS:
+            part = _part(part.state, part.data, part.priors, _most_rigid(part))
+        some = fit_poses(part.state, part.data)
+        some = fit_templates(some, part.data, part.priors, options)
+        some = fit_joints(some, part.data, priors.joint_strengths, state.joints)
+        part = replace(part, state=some)
+    some = part.state
+    return replace(state, joints=some.joints, rotations=some.rotations, translations=some.translations)
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """A learning problem of some vertices, without correctives and regressor."""
+
+    state: LearningState
+    data: Registrations
+    priors: Priors
+
+
+def _part(state: LearningState, data: Registrations, priors: Priors, vertices: np.ndarray) -> _Part:
     some = replace(
         state,
-        templates=state.templates[:, rigid],
-        weights=state.weights[rigid],
-        pose_directions=np.zeros((len(state.pose_directions), 3 * len(rigid))),
-        regressor=sp.csr_matrix((len(state.parents), len(rigid))),
+        templates=state.templates[:, vertices],
+        weights=state.weights[vertices],
+        pose_directions=np.zeros((len(state.pose_directions), 3 * len(vertices))),
+        regressor=sp.csr_matrix((len(state.parents), len(vertices))),
     )
-    part = replace(data, vertices=np.ascontiguousarray(data.vertices[:, rigid]))
-    part_priors = replace(
+    held = replace(
         priors,
-        templates=priors.templates[:, rigid],
-        weights=priors.weights[rigid],
-        distances=priors.distances[:, rigid],
+        templates=priors.templates[:, vertices],
+        weights=priors.weights[vertices],
+        distances=priors.distances[:, vertices],
     )
-    for _ in range(options.first_passes):
-        some = fit_poses(some, part)
-        some = fit_templates(some, part, part_priors, options)
-        some = fit_joints(some, part, priors.joint_strengths, held)
-    return replace(state, joints=some.joints, rotations=some.rotations, translations=some.translations)
+    return _Part(some, replace(data, vertices=np.ascontiguousarray(data.vertices[:, vertices])), held)
+
+
+def _most_rigid(part: _Part) -> np.ndarray:
+    """Of every bone's vertices the share that lies nearest to the registrations."""
+    state, table = part.state, part.state.weight_table()
+    distances = np.zeros(state.templates.shape[1])
+    for posed in state.posed(part.data):
+        surface = np.empty_like(posed.rest)
+        kernels.posed_vertices(table, posed.motions, posed.rest, surface)
+        apart = np.linalg.norm(part.data.vertices[posed.rows] - surface, axis=2)
+        distances += np.minimum(apart, _FAR).sum(axis=0)
+    bones, kept = state.weights.argmax(axis=1), []
+    for bone in np.unique(bones):
+        own = np.flatnonzero(bones == bone)
+        count = max(min(_FEWEST, len(own)), int(np.ceil(_KEPT * len(own))))
+        kept.append(own[np.argsort(distances[own], kind="stable")[:count]])
+    return np.sort(np.concatenate(kept))
 
 
 def _rigid_vertices(state: LearningState) -> np.ndarray:

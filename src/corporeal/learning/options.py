@@ -56,7 +56,7 @@ class LearningOptions:
     template_strength: float = 0.5
     joint_strength: float = 1.0
     joint_share: float = 0.05
-    first_passes: int = 12
+    first_passes: int = 30
     shape_count: int = 30
     start_shape_weight: float = 0.0
     mixture_components: int = 10
