@@ -27,7 +27,7 @@ demo-learn: $(VENV)/.demo
 	@echo "Results are in $(LEARN_OUT)/: model.npz is the hand, model.shape.png and model.pose.png show its components,"
 	@echo "model.glb opens in any glTF viewer, its shape components as morph targets."
 
-# The learned hand of the box, from nothing: two hours on two cores, and 5 GB in HAND_OUT. Resumable but for its end.
+# The learned hand of the box, from nothing: two hours and a half on two cores, and 5 GB in HAND_OUT. Resumable but for its end.
 hand: $(VENV)/.demo
 	$(BIN)/corporeal simulate $(HAND_OUT)/session --subjects 31 --poses 51 --seed 0
 	$(BIN)/corporeal register $(HAND_OUT)/session -o $(HAND_OUT)/registrations --model soft_hand --rounds 2

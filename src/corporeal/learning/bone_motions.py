@@ -32,9 +32,8 @@ def first_joints(
     The flesh around a joint follows neither bone: with all vertices, the webs of the fingers drew the
     knuckles 3 mm towards the wrist, and pose correctives, which can express any shift of a joint exactly ((R
     - I) d is linear in the features), then made up for it. Therefore joints come before correctives, from
-    nearly rigid vertices; which these are the registrations tell, and skin that slides over its bone (the
-    ball of the thumb) drops out. Where a joint turns about one axis only, its place along it is the start
-    model's.
+    nearly rigid vertices; which these are the registrations tell, and skin that slides over its bone drops
+    out. Where a joint turns about one axis only, its place along it is the start model's.
 
     Learned from half of a simulated session, joints were 2.66 mm from the true ones with all vertices of a
     bone and 2.47 with 0.4 of them (0.15 and more passes: no better); 2.04 where the true surfaces took the
