@@ -13,7 +13,6 @@ learned around the model's, stay.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -21,28 +20,26 @@ import scipy.sparse as sp
 
 from corporeal.cli.held_out_session import read_registered, true_scans
 from corporeal.learning.evaluation.simulated_truth import (
-    TrueScan,
-    TrueTemplate,
-    ZeroPose,
     flexed,
-    true_pose,
+    surfaces_at_true_poses,
     true_template,
     zero_pose,
 )
 from corporeal.learning.evaluation.truth import compare_with_truth
 from corporeal.learning.files import load_learned
 from corporeal.learning.personal import personal_model
-from corporeal.model.jacobian import evaluate
 from corporeal.model.surface_model import SurfaceModel
 from corporeal.scans.simulation.simulate import true_hand
 
 
 def with_joints(model: SurfaceModel, joints: np.ndarray) -> SurfaceModel:
     """The model with joints where they are asked for: every row an affine combination of four vertices."""
-    corners = model.template[np.linspace(0, model.vertex_count - 1, 4).astype(int)]
-    shares = np.linalg.solve(np.vstack([corners.T, np.ones(4)]), np.vstack([joints.T, np.ones(len(joints))]))
+    corners = np.linspace(0, model.vertex_count - 1, 4).astype(int)
+    places, ones = model.template[corners], np.ones(4)
     rows = np.zeros((model.joint_count, model.vertex_count))
-    rows[:, np.linspace(0, model.vertex_count - 1, 4).astype(int)] = shares.T
+    rows[:, corners] = np.linalg.solve(
+        np.vstack([places.T, ones]), np.vstack([joints.T, np.ones(len(joints))])
+    ).T
     return model.replace(joint_regressor=sp.csr_matrix(rows))
 
 
@@ -55,23 +52,6 @@ def bones(model: SurfaceModel, joints: np.ndarray) -> np.ndarray:
         ends.append(far - joints[joint])
     directions = np.stack(ends)
     return directions / np.linalg.norm(directions, axis=1, keepdims=True)
-
-
-def surfaces(
-    model: SurfaceModel, template: TrueTemplate, scans: Sequence[TrueScan], zero: ZeroPose
-) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Of every scan of a hand: with correctives, without, the truth."""
-    centres, found = np.asarray(model.joint_regressor @ model.template), []
-    for scan in scans:
-        true = true_pose(template, scan.truth, centres, zero)
-        posed = [
-            evaluate(model, np.zeros(0), true.pose, true.translation, correctives=on).vertices
-            @ true.R_scan_model.T
-            + true.t_scan_model
-            for on in (True, False)
-        ]
-        found.append((posed[0], posed[1], scan.truth.template))
-    return found
 
 
 def main() -> None:
@@ -102,8 +82,8 @@ def main() -> None:
         off = np.asarray(personal.joint_regressor @ personal.template) - template.joints
         along = np.einsum("ka,ka->k", off, bones(model, template.joints))
         errors.append(np.stack([np.linalg.norm(off, axis=1), along], axis=1))
-        own += surfaces(personal, template, some, zero)
-        exact += surfaces(with_joints(personal, template.joints), template, some, zero)
+        own += surfaces_at_true_poses(personal, template, some, zero)
+        exact += surfaces_at_true_poses(with_joints(personal, template.joints), template, some, zero)
     for name, (distance, along) in zip(model.joint_names, 1e3 * np.mean(errors, axis=0), strict=True):
         print(f"{name:10s}{distance:6.1f}{along:+7.1f}")
     print(f"{'mean':10s}{1e3 * np.mean(errors, axis=(0, 1))[0]:6.2f}")

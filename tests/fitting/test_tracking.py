@@ -101,7 +101,7 @@ def test_free_vertices_follow_what_the_model_cannot(sequence):
     errors = [
         np.linalg.norm(found - swollen, axis=1)[near > 0.5].mean() for found in (posed, posed + frame.offsets)
     ]
-    assert errors[1] < 0.7 * errors[0]
+    assert errors[1] < 0.6 * errors[0]
 
 
 def test_bad_frames_cost_nothing_but_themselves(sequence):

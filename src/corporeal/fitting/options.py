@@ -94,7 +94,7 @@ class TrackingOptions:
             scale of 3 mm at last was refused: of two strangers it brought one's hands from 5.2 to 4.6 mm and
             took the other's from 8.0 to 9.1.
         first: the solves of the first frame.
-        retry: the solves of a frame that was lost, with a wider robust scale.
+        retry: the solves of a frame that was lost, with a wider robust scale; the last as narrow as others'.
         hands: all 45 numbers, ``components`` per hand, or flat hands.
         components: per hand.
         hand_prior: the mixture, one Gaussian in its place, or none.
@@ -122,7 +122,9 @@ class TrackingOptions:
     weights: TrackingWeights = field(default_factory=TrackingWeights)
     annealing: tuple[AnnealingStep, ...] = (AnnealingStep(100.0, 0.1, 4), AnnealingStep(500.0, 0.01, 5))
     first: tuple[AnnealingStep, ...] = (AnnealingStep(100.0, 0.03, 10), AnnealingStep(500.0, 0.01, 15))
-    retry: tuple[AnnealingStep, ...] = (AnnealingStep(100.0, 0.15, 12), AnnealingStep(500.0, 0.02, 10))
+    retry: tuple[AnnealingStep, ...] = (
+        AnnealingStep(100.0, 0.15, 12), AnnealingStep(500.0, 0.02, 10), AnnealingStep(500.0, 0.01, 10)
+    )  # fmt: skip
     hands: HandPose = "full"
     components: int = 6
     hand_prior: HandPrior = "mixture"

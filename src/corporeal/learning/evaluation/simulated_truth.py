@@ -224,6 +224,31 @@ def against_simulation(
     )
 
 
+def surfaces_at_true_poses(
+    model: SurfaceModel, template: TrueTemplate, scans: Sequence[TrueScan], zero: ZeroPose
+) -> list[tuple[Float[np.ndarray, "V 3"], ...]]:
+    """Of every scan of a hand: the model's surface with correctives, without, and the true one, metres.
+
+    Args:
+        model: with the true template, and joints of its own.
+        template: of the hand.
+        scans: of it.
+        zero: of the model.
+    """
+    centres = np.asarray(model.joint_regressor @ model.template)
+    found: list[tuple[np.ndarray, ...]] = []
+    for scan in scans:
+        true = true_pose(template, scan.truth, centres, zero)
+        with_them, without = (
+            evaluate(model, np.zeros(0), true.pose, true.translation, correctives=correctives).vertices
+            @ true.R_scan_model.T
+            + true.t_scan_model
+            for correctives in (True, False)
+        )
+        found.append((with_them, without, scan.truth.template))
+    return found
+
+
 def _posed_scans(
     model: SurfaceModel, scans: Sequence[TrueScan], zero: ZeroPose, options: SimulationOptions
 ) -> list[tuple[np.ndarray, ...]]:
@@ -232,17 +257,8 @@ def _posed_scans(
     template = true_template(true_hand(options, planned.subject, planned.side), zero)
     personal = personal_model(model, template.vertices)
     centres = np.asarray(personal.joint_regressor @ personal.template)
-    found = []
-    for scan in scans:
-        true = true_pose(template, scan.truth, centres, zero)
-        surfaces = [
-            evaluate(personal, np.zeros(0), true.pose, true.translation, correctives=correctives).vertices
-            @ true.R_scan_model.T
-            + true.t_scan_model
-            for correctives in (True, False)
-        ]
-        found.append((*surfaces, scan.truth.template, centres, template.joints))
-    return found
+    surfaces = surfaces_at_true_poses(personal, template, scans, zero)
+    return [(*of_scan, centres, template.joints) for of_scan in surfaces]
 
 
 def _relative(rotations: Float[np.ndarray, "17 3 3"], parents: np.ndarray) -> Float[np.ndarray, "17 3 3"]:
