@@ -21,7 +21,7 @@ _SMALL = ["--no-correctives"]
 def _quick():
     """How well it learns is tested in its own room."""
     with pytest.MonkeyPatch.context() as patch:
-        quick = partial(LearningOptions, sweeps=1, first_passes=3)
+        quick = partial(LearningOptions, sweeps=1)
         patch.setattr(import_module("corporeal.cli.learn"), "LearningOptions", quick)
         yield
 

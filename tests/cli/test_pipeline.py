@@ -179,7 +179,7 @@ def test_wrong_calls_exit_with_two_and_say_why(pipeline, tmp_path, capsys, optio
 
 @pytest.mark.slow
 def test_from_nothing_to_a_model_in_two_rounds(pipeline, tmp_path, monkeypatch):
-    quick = partial(LearningOptions, correctives=False, sweeps=1, first_passes=3)
+    quick = partial(LearningOptions, correctives=False, sweeps=1)
     monkeypatch.setattr(import_module("corporeal.cli.pipeline"), "LearningOptions", quick)
     result = tmp_path / "result.json"
     options = ["--simulate", "--subjects", "3", "--poses", "4", "--workers", "2", "--json", str(result)]

