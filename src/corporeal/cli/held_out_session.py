@@ -68,7 +68,7 @@ def read_registered(folder: Path, model: SurfaceModel) -> RegisteredSession:
     return RegisteredSession(
         folder=folder,
         session=session,
-        simulation=_simulation(session),
+        simulation=simulation_of(session),
         green_objects=bool(options.get("green_objects")),
         records={record.name: record for record in records},
         registrations=registrations,
@@ -93,9 +93,9 @@ def check_unseen(test: RegisteredSession, train: Sequence[Path], subjects: Itera
         return
     for folder in train:
         session, _ = _manifest(folder)
-        seeds = {made.seed for made in (_simulation(session), test.simulation) if made is not None}
+        seeds = {made.seed for made in (simulation_of(session), test.simulation) if made is not None}
         places = {place.resolve() for place in (session, test.session) if place is not None}
-        simulated = _simulation(session) is not None and test.simulation is not None
+        simulated = simulation_of(session) is not None and test.simulation is not None
         same_place = session is not None and test.session is not None and len(places) == 1
         if (simulated and len(seeds) == 1) or same_place or folder.resolve() == test.folder.resolve():
             raise CommandError(
@@ -140,11 +140,16 @@ def true_scans(test: RegisteredSession, hands: Iterable[str]) -> list[TrueScan]:
     for name, hand in sorted(zip(test.registrations.names, test.registrations.hands, strict=True)):
         path = test.session / "truth" / f"{name}.npz"
         if hand in wanted and name in planned and path.exists():
-            found.append(TrueScan(*planned[name], _truth(path)))
+            found.append(TrueScan(*planned[name], read_truth(path)))
     return found
 
 
-def _truth(path: Path) -> ScanTruth:
+def read_truth(path: Path) -> ScanTruth:
+    """What ``corporeal simulate`` wrote of a scan.
+
+    Raises:
+        CommandError: it cannot be read.
+    """
     try:
         with np.load(path, allow_pickle=False) as archive:
             return ScanTruth(
@@ -173,7 +178,8 @@ def _manifest(folder: Path) -> tuple[Path | None, Mapping[str, Any]]:
     return Path(path) if path else None, options if isinstance(options, dict) else {}
 
 
-def _simulation(session: Path | None) -> SimulationOptions | None:
+def simulation_of(session: Path | None) -> SimulationOptions | None:
+    """How a session was simulated; None where it was not."""
     if session is None:
         return None
     try:
