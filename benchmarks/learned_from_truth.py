@@ -6,6 +6,10 @@ flexed scans of the same people, and by how much learned poses are off the bones
 scans of every joint taken out.
 
     python benchmarks/learned_from_truth.py SESSION [--start soft_hand] [--sweeps 3]
+    python benchmarks/learned_from_truth.py SESSION --model hand.npz
+
+With ``--model`` nothing is learned: that model meets the session's people, whose templates are fitted to 16
+scans each.
 
 SESSION is what ``corporeal simulate SESSION --subjects 6 --sides right --seed 1000 --natural-share 0.3``
 wrote.
@@ -21,6 +25,7 @@ from scipy.spatial.transform import Rotation
 
 from corporeal.cli.held_out_session import read_truth, simulation_of
 from corporeal.cli.named_models import named_model
+from corporeal.learning.evaluation.results import TruthResult
 from corporeal.learning.evaluation.simulated_truth import (
     TrueScan,
     ZeroPose,
@@ -32,10 +37,12 @@ from corporeal.learning.evaluation.simulated_truth import (
 )
 from corporeal.learning.learn import learn_model
 from corporeal.learning.options import LearningOptions
+from corporeal.learning.personal import personal_template
 from corporeal.learning.training_set import TrainingSet
+from corporeal.model.surface_model import SurfaceModel
 from corporeal.scans.simulation.simulate import SimulationOptions, true_hand
 
-FLEXED = 40
+FLEXED, TEMPLATE_SCANS = 40, 16
 FLAT = ZeroPose(np.eye(3), np.tile(np.eye(3), (16, 1, 1)))
 
 
@@ -71,6 +78,22 @@ def off_degrees(poses: np.ndarray, true_poses: np.ndarray) -> np.ndarray:
     return np.array(angles)
 
 
+def met(model: SurfaceModel, training: TrainingSet) -> dict[str, np.ndarray]:
+    """Hand -> its personal template, as the model fits it to some of its surfaces."""
+    templates, hands = {}, np.array(training.hands)
+    for hand in sorted(set(training.hands)):
+        some = training.subset(np.flatnonzero(hands == hand)[:TEMPLATE_SCANS])
+        templates[hand] = personal_template(model, some.vertices, some.poses, some.translations).template
+    return templates
+
+
+def line(found: TruthResult) -> str:
+    """In words."""
+    return (
+        f"R^2 {found.r_squared:.3f}  error {found.error.mean:.2f} mm  joints {found.joint_error.mean:.2f} mm"
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -78,6 +101,7 @@ def main() -> None:
     parser.add_argument("session", type=Path)
     parser.add_argument("--start", default="soft_hand")
     parser.add_argument("--sweeps", type=int, default=3)
+    parser.add_argument("--model", type=Path, help="judge this one, learn nothing")
     asked = parser.parse_args()
     options = simulation_of(asked.session)
     if options is None:
@@ -90,20 +114,20 @@ def main() -> None:
             if truth.fault in ("", "none"):
                 scans[name] = TrueScan(planned, hand, truth)
     training = true_surfaces(scans, options)
+    bent = flexed(list(scans.values()), FLEXED)
+    if asked.model is not None:
+        model = named_model(asked.model)
+        print(line(against_simulation("model", model, met(model, training), bent, options)))
+        return
     start = named_model(Path(asked.start))
     learned = learn_model(training, start, LearningOptions(sweeps=asked.sweeps))
     templates = dict(zip(learned.hands, learned.templates, strict=True))
-    found = against_simulation(
-        "learned", learned.model, templates, flexed(list(scans.values()), FLEXED), options
-    )
+    found = against_simulation("learned", learned.model, templates, bent, options)
     whose = dict(zip(training.names, training.poses, strict=True))
     off = off_degrees(np.asarray(learned.poses), np.stack([whose[name] for name in learned.names]))
     for name, angle in zip(start.joint_names[1:], off, strict=True):
         print(f"{name:10s}{angle:6.1f} degrees")
-    print(
-        f"{len(learned.names)} scans: R^2 {found.r_squared:.3f}  error {found.error.mean:.2f} mm  "
-        f"joints {found.joint_error.mean:.2f} mm  poses {off.mean():.1f} degrees"
-    )
+    print(f"{len(learned.names)} scans: {line(found)}  poses {off.mean():.1f} degrees")
 
 
 if __name__ == "__main__":
