@@ -139,8 +139,11 @@ def _settled(hand: _Hand, rig: _Rig, held: _Held) -> _Hand:
     """Levenberg-Marquardt."""
     damping, cost = _FIRST_DAMPING, _cost(hand, rig, held)
     for _ in range(_STEPS):
-        tried = _moved(hand, rig, held, damping)
-        lower = _cost(tried, rig, held)
+        try:
+            tried = _moved(hand, rig, held, damping)
+            lower = _cost(tried, rig, held)
+        except np.linalg.LinAlgError:  # not positive definite in the last bit
+            tried, lower = hand, np.inf
         if not lower < cost:
             damping *= _HARDER
             continue
