@@ -73,7 +73,6 @@ def test_vertices_move_as_their_derivatives_say(make_tube, rng):
     state, data, priors, true = problem(make_tube(people=3, count=3), shift=1e-3)
     hand, rig, held = first_hand(state, data, priors, true)
     linear = articulation._linear(hand, rig, held)
-    moves = articulation._joint_moves(rig, linear)
     for _ in range(5):
         template, joints = rng.standard_normal(hand.template.shape), rng.standard_normal(hand.joints.shape)
         poses = rng.standard_normal((len(hand.rotations), linear.turns.shape[-1]))
@@ -85,7 +84,7 @@ def test_vertices_move_as_their_derivatives_say(make_tube, rng):
         differences = (linear.residuals - articulation._linear(moved, rig, held).residuals) / STEP
         expected = (
             np.einsum("nvab,vb->nva", linear.blended, template)
-            + moves @ joints.ravel()
+            + linear.moves @ joints.ravel()
             + np.einsum("nvaq,nq->nva", linear.turns, poses)
         )
         np.testing.assert_allclose(differences, expected, atol=1e-5 * np.abs(expected).max())

@@ -15,6 +15,7 @@ import scipy.linalg as sl
 from jaxtyping import Float, Int
 
 from corporeal.geometry.rotations_numeric import matrix_from_axis_angle, skew
+from corporeal.learning import skinning_kernels as kernels
 from corporeal.learning.hinges import HingePrior
 from corporeal.learning.objective import Priors
 from corporeal.learning.poses import add_joint_blocks
@@ -72,6 +73,7 @@ class _Linear(NamedTuple):
     turns: Float[np.ndarray, "N V 3 Q"]
     blended: Float[np.ndarray, "N V 3 3"]
     levers: Float[np.ndarray, "N K 3 3"]
+    moves: Float[np.ndarray, "N V 3 K3"]
 
 
 class _Poses(NamedTuple):
@@ -156,17 +158,13 @@ def _settled(hand: _Hand, rig: _Rig, held: _Held) -> _Hand:
 
 def _posed(hand: _Hand, rig: _Rig) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """World rotations (N, K, 3, 3), places of joints (N, K, 3), of vertices under each joint (N, V, K, 3)."""
-    world, placed = np.empty_like(hand.rotations), np.empty(hand.rotations.shape[:3])
-    for joint, parent in enumerate(rig.parents):
-        if parent < 0:
-            world[:, joint], placed[:, joint] = (
-                hand.rotations[:, joint],
-                hand.joints[joint] + hand.translations,
-            )
-            continue
-        world[:, joint] = world[:, parent] @ hand.rotations[:, joint]
-        bone = hand.joints[joint] - hand.joints[parent]
-        placed[:, joint] = placed[:, parent] + world[:, parent] @ bone
+    N, K = hand.rotations.shape[:2]
+    motions, placed = np.empty((N, K, 12)), np.empty((N, K, 3))
+    own = np.zeros(N, dtype=np.int64)
+    kernels.joint_motions(
+        hand.rotations, hand.joints[None], own, hand.translations, rig.parents, motions, placed
+    )
+    world = motions[..., :9].reshape(N, K, 3, 3)
     arms = hand.template[:, None] - hand.joints
     places = np.einsum("nkab,vkb->nvka", world, arms, optimize=True) + placed[:, None]
     return world, placed, places
@@ -197,13 +195,16 @@ def _linear(hand: _Hand, rig: _Rig, held: _Held) -> _Linear:
     spins = -skew(arms.reshape(-1, 3)).reshape(N, V, K, 3, 3) @ above[:, None]
     turns[..., 3:] = spins.transpose(0, 1, 3, 2, 4).reshape(N, V, 3, 3 * K)
     blended = np.einsum("vk,nkab->nvab", rig.weights, world, optimize=True)
-    return _Linear(held.vertices - weighed.sum(axis=2), turns, blended, above - world)
+    # With the joints: by what is carried times the parent's rotation less the own.
+    levers = above - world
+    moves = (rig.carried[:, :, None, None] * levers[:, None]).transpose(0, 1, 3, 2, 4)
+    return _Linear(held.vertices - weighed.sum(axis=2), turns, blended, levers, moves.reshape(N, V, 3, 3 * K))
 
 
 def _moved(hand: _Hand, rig: _Rig, held: _Held, damping: float) -> _Hand:
     """One step of everything: poses are eliminated, template and joints solved for, poses follow."""
     linear = _linear(hand, rig, held)
-    poses = _poses(hand, rig, held, linear, damping)
+    poses = _poses(hand, held, linear, damping)
     system, gradient = _shared_equations(hand, rig, held, linear)
     system[np.diag_indices(len(system))] *= 1 + damping
     couplings = poses.couplings.reshape(-1, len(system))
@@ -222,7 +223,7 @@ def _moved(hand: _Hand, rig: _Rig, held: _Held, damping: float) -> _Hand:
     )
 
 
-def _poses(hand: _Hand, rig: _Rig, held: _Held, linear: _Linear, damping: float) -> _Poses:
+def _poses(hand: _Hand, held: _Held, linear: _Linear, damping: float) -> _Poses:
     """Normal equations of every pose, and what couples them to template and joints, behind their factors."""
     N, V, _, Q = linear.turns.shape
     flat = linear.turns.reshape(N, 3 * V, Q)
@@ -236,7 +237,7 @@ def _poses(hand: _Hand, rig: _Rig, held: _Held, linear: _Linear, damping: float)
     # Relative to the largest: a joint that moves nothing must not make the system singular.
     diagonal += damping * (diagonal + 1e-3 * diagonal.max(axis=1, keepdims=True))
     with_template = linear.turns.swapaxes(2, 3) @ linear.blended
-    with_joints = flat.swapaxes(1, 2) @ _joint_moves(rig, linear).reshape(N, 3 * V, -1)
+    with_joints = flat.swapaxes(1, 2) @ linear.moves.reshape(N, 3 * V, -1)
     couplings = np.concatenate(
         [with_template.transpose(0, 2, 1, 3).reshape(N, Q, 3 * V), with_joints], axis=2
     )
@@ -248,12 +249,6 @@ def _poses(hand: _Hand, rig: _Rig, held: _Held, linear: _Linear, damping: float)
     return _Poses(factors, pulls, couplings)
 
 
-def _joint_moves(rig: _Rig, linear: _Linear) -> Float[np.ndarray, "N V 3 K3"]:
-    """How vertices move with the joints: by what is carried times the parent's rotation less the own."""
-    moves = rig.carried[:, :, None, None] * linear.levers[:, None]
-    return moves.transpose(0, 1, 3, 2, 4).reshape(*linear.residuals.shape, -1)
-
-
 def _shared_equations(
     hand: _Hand, rig: _Rig, held: _Held, linear: _Linear
 ) -> tuple[Float[np.ndarray, "S S"], Float[np.ndarray, " S"]]:
@@ -261,7 +256,7 @@ def _shared_equations(
     N, V, K = len(hand.rotations), len(hand.template), len(hand.joints)
     size = 3 * V
     system = np.zeros((size + 3 * K, size + 3 * K))
-    moves = _joint_moves(rig, linear).reshape(N * 3 * V, 3 * K)
+    moves = linear.moves.reshape(N * 3 * V, 3 * K)
     system[size:, size:] = moves.T @ moves + block_diagonal(held.joint_strengths)
     levers = linear.levers.transpose(0, 2, 1, 3).reshape(3 * N, 3 * K)
     mixed = levers.T @ linear.blended.transpose(0, 2, 1, 3).reshape(3 * N, size)
