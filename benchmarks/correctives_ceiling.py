@@ -56,10 +56,7 @@ def truth_of(
         true_pose(settled[i], scan.truth, settled[i].joints, flat)
         for i, scan in zip(index, scans, strict=True)
     ]
-    surfaces = [
-        (scan.truth.template - own.t_scan_model) @ own.R_scan_model
-        for scan, own in zip(scans, posed, strict=True)
-    ]
+    surfaces = [own.in_model(scan.truth.template) for scan, own in zip(scans, posed, strict=True)]
     K, V = model.joint_count, model.vertex_count
     poses = np.concatenate([own.pose for own in posed])
     state = LearningState(

@@ -55,7 +55,7 @@ def true_surfaces(scans: dict[str, TrueScan], options: SimulationOptions) -> Tra
             templates[scan.hand] = true_template(hand, FLAT)
         template = templates[scan.hand]
         true = true_pose(template, scan.truth, template.joints, FLAT)
-        rows.append(((scan.truth.template - true.t_scan_model) @ true.R_scan_model, true))
+        rows.append((true.in_model(scan.truth.template), true))
     hands = tuple(scan.hand for scan in scans.values())
     return TrainingSet(
         vertices=np.stack([surface for surface, _ in rows]),

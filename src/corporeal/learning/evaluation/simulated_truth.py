@@ -94,6 +94,10 @@ class PosedTruth:
     R_scan_model: Float[np.ndarray, "3 3"]
     t_scan_model: Float[np.ndarray, "3"]
 
+    def in_model(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        """Points of the scan's frame in the model's, metres."""
+        return (points - self.t_scan_model) @ self.R_scan_model
+
 
 def planned_scans(options: SimulationOptions) -> dict[str, tuple[PlannedScan, str]]:
     """Name of every scan of a session -> its plan, and whose hand it shows."""
