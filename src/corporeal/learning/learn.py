@@ -13,7 +13,7 @@ from corporeal.geometry.rotations_numeric import matrix_from_axis_angle
 from corporeal.geometry.topology import unique_edges
 from corporeal.learning.assembly import assembled
 from corporeal.learning.bone_motions import first_joints
-from corporeal.learning.correctives import fit_correctives
+from corporeal.learning.correctives import Preconditioner, fit_correctives
 from corporeal.learning.hinges import hinge_prior
 from corporeal.learning.joint_distances import geodesic_joint_distances
 from corporeal.learning.joint_regressor import fit_regressor
@@ -103,6 +103,7 @@ class _Learning:
         hinges = hinge_prior(start, options.hinge_strength)
         self.priors = Priors(shaped, weights, strengths, distances[1:], hinges)
         self.candidates = weight_candidates(weights, unique_edges(start.faces))
+        self._preconditioner = Preconditioner()
         self.log: list[StepLog] = []
         self._before = time.perf_counter()
 
@@ -141,8 +142,13 @@ class _Learning:
             self._step(0, "correctives", self._correctives())
 
     def _sweep(self, sweep: int) -> None:
+        """Everything but the poses, which stay the bones' until the joints are tied to the regressor.
+
+        Moved in every sweep they follow the skin a little each time. Held, R^2 against the bones is 0.62 for
+        0.61 and joints 2.05 mm off for 2.23, learned from 1,882 simulated registrations; those are 0.67 mm
+        away for 0.66.
+        """
         options = self.options
-        self._step(sweep, "poses", self._poses())
         self._step(sweep, "templates", self._templates())
         self._step(sweep, "joints", fit_joints(self.state, self.data, self.priors.joint_strengths))
         if options.correctives:
@@ -161,7 +167,7 @@ class _Learning:
         return fit_templates(self.state, self.data, self.priors, self.options)
 
     def _correctives(self) -> LearningState:
-        return fit_correctives(self.state, self.data, self.priors, self.options)
+        return fit_correctives(self.state, self.data, self.priors, self.options, self._preconditioner)
 
     def _with_regressor(self) -> LearningState:
         return replace(
