@@ -21,7 +21,7 @@ MIRRORED, ONE_SIDED = "mirrored", "right only"
 WITHOUT_CORRECTIVES = "learned without correctives"
 CONSTANT = "constant regularisation"
 WITHOUT_NEUTRAL_FIRST = "learned without equation 11"
-_MIRRORED_COUNTS = (250, 500, 1000, 1500)
+_MIRRORED_COUNTS = (250, 500, 1000)
 _ONE_SIDED_COUNTS = (250, 500)
 
 
