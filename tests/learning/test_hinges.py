@@ -14,9 +14,24 @@ def test_recorded_poses_tell_the_hinges_of_a_hand():
     prior = hinge_prior(model, 250.0)
     hinges = {name for name, own in zip(model.joint_names, prior.precisions, strict=True) if own.any()}
     fingers = ("index", "middle", "little", "ring")
-    assert hinges == {f"{finger}{number}" for finger in fingers for number in (2, 3)} | {"thumb3"}
+    assert hinges == {f"{finger}{number}" for finger in fingers for number in (2, 3)} | {
+        "thumb2",
+        "thumb3",
+    }
     ranks = np.linalg.matrix_rank(prior.precisions, hermitian=True)
     assert set(ranks) == {0, 2}
+
+
+def test_the_farther_recorded_poses_spread_across_an_axis_the_weaker_it_is_held():
+    model = open_model("start_hand")
+    prior = hinge_prior(model, 250.0)
+    held = {
+        name: np.linalg.eigvalsh(prior.precisions[model.joint_names.index(name)])[1:] / 250e-4
+        for name in ("index2", "thumb2")
+    }
+    np.testing.assert_allclose(held["index2"], 1.0)
+    # 0.9 and 3.9 degrees, where 1.5 are held in full.
+    np.testing.assert_allclose(held["thumb2"], [(1.5 / 3.9) ** 2, 1.0], rtol=0.05)
 
 
 def test_a_model_without_recorded_poses_has_none(known_tube):
