@@ -40,14 +40,15 @@ registrations: $(VENV)/.demo
 	$(BIN)/corporeal register $(HAND_OUT)/session -o $(HAND_OUT)/registrations --model soft_hand
 	$(BIN)/python assets/registered_hands.py pack $(HAND_OUT)/registrations
 
+# Work is stolen from the end of the other's half: dealt out in turns, both workers made the dear fixtures of every file.
 test: lint
-	$(BIN)/python -m pytest -q -n auto
+	$(BIN)/python -m pytest -q -n auto --dist worksteal
 	$(MAKE) --no-print-directory numpy2
 
 # The detector's wheel holds numpy at 1.26; without it the newest numpy is used, and must work as well. Tests
 # marked slow (over five seconds: browsers, kills, whole sessions, examples) run once, above.
 numpy2: $(VENV2)/.test
-	NUMBA_CACHE_DIR=$(VENV2)/numba $(VENV2)/bin/python -m pytest -q -n auto -m "not slow"
+	NUMBA_CACHE_DIR=$(VENV2)/numba $(VENV2)/bin/python -m pytest -q -n auto --dist worksteal -m "not slow"
 
 lint: $(VENV)/.test
 	$(BIN)/ruff format --check src tests benchmarks examples assets
