@@ -27,12 +27,11 @@ demo-learn: $(VENV)/.demo
 	@echo "Results are in $(LEARN_OUT)/: model.npz is the hand, model.shape.png and model.pose.png show its components,"
 	@echo "model.glb opens in any glTF viewer, its shape components as morph targets."
 
-# The learned hand of the box, from its registrations: ten minutes on two cores.
+# A hand from the registrations in the repository: ten minutes on two cores. To put one in the box, convert it with
+# --precision float16 and run assets/calibrate_detector.py on the copy.
 hand: $(VENV)/.demo
 	$(BIN)/python assets/registered_hands.py unpack $(HAND_OUT)/registered
 	$(BIN)/corporeal learn $(HAND_OUT)/registered -o $(HAND_OUT)/hand.npz --name hand --start-shape-weight 1
-	$(BIN)/corporeal convert $(HAND_OUT)/hand.npz $(MODELS)/hand.npz --precision float16
-	$(BIN)/python assets/calibrate_detector.py --hand $(MODELS)/hand.npz
 
 # Those registrations, from nothing: an hour on two cores, two on slow ones, and 5 GB in HAND_OUT. Resumable.
 registrations: $(VENV)/.demo

@@ -1,4 +1,4 @@
-"""The registrations that the open hand was learned from, as one small file; see README.md.
+"""The registrations of 31 simulated people that a hand is learned from, as one small file; see README.md.
 
     python assets/registered_hands.py unpack REG            # a folder as corporeal register writes it
     corporeal learn REG -o hand.npz --name hand --start-shape-weight 1
