@@ -144,9 +144,9 @@ class _Learning:
     def _sweep(self, sweep: int) -> None:
         """Everything but the poses, which stay the bones' until the joints are tied to the regressor.
 
-        Moved in every sweep they follow the skin a little each time. Held, R^2 against the bones is 0.62 for
-        0.61 and joints 2.05 mm off for 2.23, learned from 1,882 simulated registrations; those are 0.67 mm
-        away for 0.66.
+        Moved in every sweep they follow the skin a little each time. Held, R^2 against the bones is 0.66 for
+        0.63 and joints 2.2 mm off for 2.4, learned from 1,874 simulated registrations; those are 0.71 mm away
+        for 0.67.
         """
         options = self.options
         self._step(sweep, "templates", self._templates())
