@@ -4,10 +4,10 @@
     corporeal learn REG -o hand.npz --name hand --start-shape-weight 1
     python assets/registered_hands.py pack REG [--file FILE]  # what is accepted in a registered session
 
-Simulating and registering the session takes hours, and 40 MB; this file six. Vertices are kept as
-offsets from the fitted model, rounded to a tenth of a millimetre, and of these the differences to the vertex
-before in a walk over the mesh, which are nearly all a few steps. Landmarks, signals and rejected scans are
-left out.
+Simulating and registering the session takes hours; its records take 40 MB, this file six. Vertices are kept
+as offsets from the fitted model, rounded to a tenth of a millimetre, and of these the differences to the
+vertex before in a walk over the mesh, which are nearly all a few steps. Landmarks, signals and rejected scans
+are left out.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import argparse
 import io
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,11 +25,13 @@ from scipy.sparse.csgraph import breadth_first_order
 
 from corporeal.atomic import write_bytes
 from corporeal.geometry.topology import unique_edges
+from corporeal.learning.training_set import training_set
 from corporeal.model.files import open_model
 from corporeal.model.jacobian import evaluate
 from corporeal.model.surface_model import SurfaceModel
 from corporeal.registration.session.files import (
     MANIFEST,
+    read_decisions,
     read_json_file,
     read_records,
     record_path,
@@ -48,10 +51,13 @@ def packed(folder: Path) -> bytes:
     """The accepted registrations of a folder as the bytes of an ``.npz``."""
     manifest = read_json_file(folder / MANIFEST) or {}
     models = both_sides(manifest["model"]["name"])
-    records = [record for record in read_records(folder) if record.row["status"] == "ok"]
+    found = read_records(folder)
+    accepted = set(training_set(found, models["right"], read_decisions(folder)).names)
+    records = [record for record in found if record.name in accepted]
     rows = [{key: record.row.get(key) for key in _KEPT_OF_ROW} for record in records]
     for row in rows:
-        row["scan"] = Path(row["scan"]).name
+        # What a curator accepted is as good as what the verdict did: decisions do not come along.
+        row |= {"scan": Path(row["scan"]).name, "status": "ok"}
     order, before = walk(models["right"])
     offsets = np.stack([record.vertices - posed(models, record) for record in records])
     steps = np.rint(offsets / STEP).astype(np.int32)
@@ -87,16 +93,16 @@ def unpacked(file: Path) -> tuple[dict, Iterator[SessionRecord]]:
 
     def records() -> Iterator[SessionRecord]:
         for number, row in enumerate(rows):
-            record = SessionRecord(
+            fitted = SessionRecord(
                 row,
                 pose=arrays["pose"][number],
                 shape=arrays["shape"][number],
                 translation=arrays["translation"][number],
                 side=row["side"],
             )
-            vertices = posed(models, record)
+            vertices = posed(models, fitted)
             vertices[order] += STEP * steps[number]
-            yield SessionRecord(row, vertices, record.pose, record.shape, record.translation, record.side)
+            yield replace(fitted, vertices=vertices)
 
     return manifest, records()
 

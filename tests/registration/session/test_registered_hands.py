@@ -3,6 +3,7 @@
 import importlib.util
 import itertools
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from corporeal.atomic import write_bytes
 from corporeal.learning.training_set import training_set
 from corporeal.model.files import open_model
 from corporeal.model.jacobian import evaluate
-from corporeal.registration.session.files import MANIFEST, record_path, write_record
+from corporeal.registration.session.files import DECISIONS, MANIFEST, record_path, write_record
 from corporeal.registration.session.model_digest import model_digest
 from corporeal.registration.session.records import SessionRecord
 
@@ -77,6 +78,19 @@ def test_what_was_accepted_comes_back_to_half_a_step(tool, folder, tmp_path):
         assert np.abs(record.vertices - before.vertices).max() < tool.STEP / 2 + 1e-5
         np.testing.assert_array_equal(record.pose, before.pose)
         assert record.side == before.side and record.row["scan"] == f"{name}.ply"
+
+
+def test_the_curator_decides(tool, folder, tmp_path):
+    reviewed = tmp_path / "reviewed"
+    shutil.copytree(folder, reviewed)
+    decided = [{"name": "scan1", "decision": "reject"}, {"name": "scan3", "decision": "accept"}]
+    lines = [json.dumps(line | {"time": 0}) for line in decided]
+    (reviewed / DECISIONS).write_text("".join(f"{line}\n" for line in lines))
+    (tmp_path / "packed.npz").write_bytes(tool.packed(reviewed))
+    _, records = tool.unpacked(tmp_path / "packed.npz")
+    assert {record.name: record.row["status"] for record in records} == dict.fromkeys(
+        ("scan0", "scan2", "scan3"), "ok"
+    )
 
 
 def test_byte_planes_hold_any_16_bits(tool):
