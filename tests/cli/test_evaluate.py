@@ -2,18 +2,27 @@
 
 import dataclasses
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 from rich.console import Console
 
-from corporeal.cli import variant_models
+from corporeal.cli import evaluate, variant_models
+from corporeal.cli.commands import Evaluate
 from corporeal.cli.held_out_session import read_registered, true_scans
 from corporeal.cli.main import main
 from corporeal.cli.variant_models import learned_variants
 from corporeal.export.meshes import write_ply
 from corporeal.learning.evaluation import study
-from corporeal.learning.evaluation.variants import Variant
+from corporeal.learning.evaluation.variants import (
+    CONSTANT,
+    MIRRORED,
+    ONE_SIDED,
+    WITHOUT_CORRECTIVES,
+    WITHOUT_NEUTRAL_FIRST,
+    Variant,
+)
 from corporeal.learning.files import companion_path, save_learned
 from corporeal.learning.learned import LearnedModel
 from corporeal.learning.options import LearningOptions
@@ -36,6 +45,7 @@ def learned():
         names=tuple(f"{person}_p01_right" for person in PEOPLE), poses=0.3 * rng.standard_normal((3, 16, 3)),
         translations=np.zeros((3, 3)), rms_mm=np.ones(3), log=(), shape_variances=np.array([2.0, 1.0]),
         pose_variances=np.array([3.0, 1.0]), left_out=(),
+        options=LearningOptions(corrective_strength=0.8, start_shape_weight=1.0),
     )  # fmt: skip
 
 
@@ -169,6 +179,21 @@ def test_variants_are_kept_and_learned_again_for_other_data(learned, made_record
     (tmp_path / "right-only-20.learning.npz").write_bytes(b"damaged")
     learned_variants([other], hand, tmp_path, console)
     assert asked == [6, 4, 6, 6]
+
+
+def test_variants_are_learned_as_the_model_was_but_for_what_they_are_about(
+    learned, made_records, write_registrations, held_out_folder, tmp_path, monkeypatch
+):
+    start, planned = open_model("hand"), []
+    monkeypatch.setattr(evaluate, "learned_variants", lambda variants, *_: planned.extend(variants) or [])
+    train = write_registrations(tmp_path / "train", made_records(start, people=3, poses=2), start)
+    config = Evaluate(Path("mine.npz"), test=held_out_folder, output=tmp_path / "e", train=(train,))
+    evaluate._variants(config, dataclasses.replace(learned, names=()), start, Console(quiet=True))
+    assert {variant.label for variant in planned} >= {WITHOUT_CORRECTIVES, CONSTANT, ONE_SIDED, MIRRORED}
+    changed = {WITHOUT_CORRECTIVES: {"correctives": False}, CONSTANT: {"regularisation": "constant"}}
+    changed[WITHOUT_NEUTRAL_FIRST] = {"neutral_first": False}
+    for variant in planned:
+        assert variant.options == dataclasses.replace(learned.options, **changed.get(variant.label, {}))
 
 
 def test_truth_is_read_where_the_session_was_simulated(learned, held_out_folder, tmp_path, capsys):

@@ -12,6 +12,7 @@ from PIL import Image
 from corporeal.cli.main import main
 from corporeal.learning.files import load_learned
 from corporeal.learning.options import LearningOptions
+from corporeal.learning.training_set import LearningError
 from corporeal.model.files import load_model, open_model, save_model
 
 _SMALL = ["--no-correctives"]
@@ -162,6 +163,33 @@ def test_nothing_accepted_is_said(records, tmp_path, capsys, write_registrations
     decide(folder, {record.name: "reject" for record in records[:3]})
     assert _learn(folder, tmp_path / "m.npz") == 2
     assert "none of 3 registrations is accepted" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "changed"),
+    [
+        ([], {}),
+        (["--corrective-strength", "0.8"], {"corrective_strength": 0.8}),
+        (["--no-hinges"], {"hinge_strength": 0.0}),
+        (["--start-shape-weight", "1"], {"start_shape_weight": 1.0}),
+    ],
+)
+def test_what_is_asked_for_is_what_is_learned_with(registrations, tmp_path, monkeypatch, arguments, changed):
+    found = []
+
+    def stop(training, start, options, on_step):
+        found.append(options)
+        raise LearningError("seen")
+
+    monkeypatch.setattr(import_module("corporeal.cli.learn"), "learn_model", stop)
+    assert _learn(registrations, tmp_path / "m.npz", *arguments) == 1
+    assert found == [LearningOptions(sweeps=1, **changed)]
+
+
+@pytest.mark.parametrize("number", ["0", "-1", "nan", "inf"])
+def test_a_strength_that_is_none_is_refused(registrations, tmp_path, capsys, number):
+    assert _learn(registrations, tmp_path / "m.npz", "--corrective-strength", number) == 2
+    assert "expected more than 0" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -56,7 +56,7 @@ def taught(monkeypatch):
             joints=np.zeros((len(hands), start.joint_count, 3)),
             names=training.names, poses=training.poses, translations=training.translations,
             rms_mm=np.zeros(len(training)), log=(log,), shape_variances=np.ones(2), pose_variances=np.ones(3),
-            left_out=(),
+            left_out=(), options=options,
         )  # fmt: skip
 
     monkeypatch.setattr(import_module("corporeal.cli.learn"), "learn_model", fake)

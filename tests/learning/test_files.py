@@ -19,7 +19,7 @@ def test_everything_comes_back(learned, tmp_path):
     save_learned(learned, path)
     assert companion_path(path) == tmp_path / "arm.learning.npz"
     again = load_learned(path)
-    for name in ("hands", "subjects", "names", "left_out", "log"):
+    for name in ("hands", "subjects", "names", "left_out", "log", "options"):
         assert getattr(again, name) == getattr(learned, name), name
     for name in ("joints", "poses", "translations", "rms_mm", "shape_variances", "pose_variances"):
         assert np.array_equal(getattr(again, name), getattr(learned, name)), name

@@ -265,6 +265,9 @@ class Learn:
         sides: both (left ones are mirrored in), or right-only.
         correctives: learn pose correctives.
         regularisation: of the correctives: by geodesic distance (MANO) or constant (SMPL).
+        corrective_strength: what holds the correctives back, for a hand; for what is larger, less by the
+            square of its size.
+        hinges: joints that the start model's recorded poses show to be hinges turn about their axes alone.
         neutral_first: weigh registrations by their distance from the zero pose in the first templates.
         start_shape_weight: weight of the start model's shape covariance, added to that of the learned people:
             for few people.
@@ -280,6 +283,8 @@ class Learn:
     sides: Literal["both", "right-only"] = "both"
     correctives: bool = True
     regularisation: Literal["geodesic", "constant"] = "geodesic"
+    corrective_strength: float = 20.0
+    hinges: bool = True
     neutral_first: bool = True
     start_shape_weight: float = 0.0
     seed: int = 0

@@ -132,7 +132,7 @@ def _variants(
         )
     if not config.variants:
         return [], left_out
-    planned, notes = planned_variants(training, str(start.side))
+    planned, notes = planned_variants(training, str(start.side), learned.options)
     return learned_variants(planned, start, config.output / "models", console), notes
 
 

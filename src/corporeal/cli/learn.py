@@ -62,13 +62,7 @@ def run(config: Learn) -> int:
     training = gathered(config.registrations, start)
     if config.sides == "right-only":
         training = _of_side(training, "right")
-    options = LearningOptions(
-        correctives=config.correctives,
-        regularisation=config.regularisation,
-        neutral_first=config.neutral_first,
-        start_shape_weight=config.start_shape_weight,
-        seed=config.seed,
-    )
+    options = _options(config)
     sources = tuple(folder.name for folder in config.registrations)
     result = learn_file(training, start, LearnCall(config.output, options, config.name, sources), console)
     if config.pictures:
@@ -76,6 +70,18 @@ def run(config: Learn) -> int:
     if config.json is not None:
         write_result(config.json, result)
     return 0
+
+
+def _options(config: Learn) -> LearningOptions:
+    options = LearningOptions(
+        correctives=config.correctives,
+        regularisation=config.regularisation,
+        corrective_strength=config.corrective_strength,
+        neutral_first=config.neutral_first,
+        start_shape_weight=config.start_shape_weight,
+        seed=config.seed,
+    )
+    return options if config.hinges else dataclasses.replace(options, hinge_strength=0.0)
 
 
 def learn_file(
@@ -237,6 +243,8 @@ def _check_call(config: Learn) -> None:
         raise CommandError(f"-o {config.output}: is a folder; name a file", 2)
     if not 0 <= config.start_shape_weight < math.inf:
         raise CommandError(f"--start-shape-weight {config.start_shape_weight}: expected 0 or more", 2)
+    if not 0 < config.corrective_strength < math.inf:
+        raise CommandError(f"--corrective-strength {config.corrective_strength}: expected more than 0", 2)
     if config.json is not None:
         check_result(config.json)
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from corporeal.atomic import write_bytes
 from corporeal.learning.learned import LearnedModel, StepLog
+from corporeal.learning.options import LearningOptions
 from corporeal.model.files import load_model, save_model
 
 _WORDS = ("hands", "subjects", "names", "left_out")
@@ -40,6 +41,7 @@ def save_learned(learned: LearnedModel, path: Path | str) -> None:
     arrays["templates"] = arrays["templates"].astype(np.float32)
     arrays |= {name: np.array(getattr(learned, name), dtype=np.str_) for name in _WORDS}
     arrays["log"] = np.array(json.dumps([dataclasses.asdict(step) for step in learned.log]))
+    arrays["options"] = np.array(json.dumps(dataclasses.asdict(learned.options)))
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)
     path = Path(path)
@@ -63,6 +65,7 @@ def load_learned(path: Path | str) -> LearnedModel:
         with np.load(io.BytesIO(companion.read_bytes()), allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
         log = tuple(StepLog(**step) for step in json.loads(str(arrays["log"])))
+        options = LearningOptions(**json.loads(str(arrays["options"])))
         kept: dict[str, Any] = {name: tuple(str(word) for word in arrays[name]) for name in _WORDS}
         kept |= {name: np.asarray(arrays[name], dtype=np.float64) for name in _NUMBERS}
     except FileNotFoundError as error:
@@ -73,4 +76,4 @@ def load_learned(path: Path | str) -> LearnedModel:
         raise LearnedFileError(f"{companion}: damaged ({error}); learn the model again") from error
     if kept["templates"].shape[1:] != model.template.shape:
         raise LearnedFileError(f"{companion}: of another model than {path}; learn the model again")
-    return LearnedModel(model=model, log=log, **kept)
+    return LearnedModel(model=model, log=log, options=options, **kept)

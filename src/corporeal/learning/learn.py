@@ -269,6 +269,7 @@ class _Learning:
             shape_variances=assembly.shape_variances,
             pose_variances=assembly.pose_variances,
             left_out=_marked(self.training.names, ~self.kept),
+            options=self.options,
         )
 
 

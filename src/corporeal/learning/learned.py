@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from corporeal.learning.options import LearningOptions
 from corporeal.model.surface_model import SurfaceModel
 
 
@@ -53,6 +54,7 @@ class LearnedModel:
         shape_variances: explained variance of every shape component, square metres.
         pose_variances: of every pose component of the first block, square radians.
         left_out: names of registrations that were trimmed.
+        options: how it was learned.
     """
 
     model: SurfaceModel
@@ -68,3 +70,4 @@ class LearnedModel:
     shape_variances: Float[np.ndarray, " n"]
     pose_variances: Float[np.ndarray, " m"]
     left_out: tuple[str, ...]
+    options: LearningOptions
