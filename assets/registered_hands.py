@@ -2,12 +2,14 @@
 
     python assets/registered_hands.py unpack REG            # a folder as corporeal register writes it
     corporeal learn REG -o hand.npz --name hand --start-shape-weight 1
-    python assets/registered_hands.py pack REG [--file FILE]  # what is accepted in a registered session
+    python assets/registered_hands.py pack REG [--start soft_hand] [--file FILE]
 
 Simulating and registering the session takes hours; its records take 40 MB, this file six. Vertices are kept
 as offsets from the fitted model, rounded to a tenth of a millimetre, and of these the differences to the
 vertex before in a walk over the mesh, which are nearly all a few steps. Landmarks, signals and rejected scans
-are left out.
+are left out. ``pack`` takes what is accepted in a registered session. Where another model made its
+registrations than learning is to start from, one that was learned in an earlier round, ``--start`` lays the
+start onto every one of them, vertex by vertex: their poses and shapes are then its own.
 """
 
 from __future__ import annotations
@@ -25,6 +27,8 @@ from scipy.sparse.csgraph import breadth_first_order
 
 from corporeal.atomic import write_bytes
 from corporeal.geometry.topology import unique_edges
+from corporeal.learning.evaluation.fit_start import start_on
+from corporeal.learning.evaluation.protocols import PoseAndShape
 from corporeal.learning.training_set import training_set
 from corporeal.model.files import open_model
 from corporeal.model.jacobian import evaluate
@@ -47,13 +51,24 @@ _KEPT_OF_ROW = ("name", "status", "side", "subject", "protocol_pose", "scan", "s
 _KEPT_OF_MANIFEST = ("format", "model", "round", "versions")
 
 
-def packed(folder: Path) -> bytes:
-    """The accepted registrations of a folder as the bytes of an ``.npz``."""
+def packed(folder: Path, start: str | None = None) -> bytes:
+    """The accepted registrations of a folder as the bytes of an ``.npz``.
+
+    Args:
+        folder: that ``corporeal register`` wrote.
+        start: model of the box that is laid onto them; None leaves the one that they were made with.
+    """
     manifest = read_json_file(folder / MANIFEST) or {}
-    models = both_sides(manifest["model"]["name"])
+    models = both_sides(start or manifest["model"]["name"])
+    digest = model_digest(models["right"])
+    if start is None and digest != manifest["model"]["sha256"]:
+        raise SystemExit(f"{folder}: made with a model that is not in the box; give one of it with --start")
     found = read_records(folder)
     accepted = set(training_set(found, models["right"], read_decisions(folder)).names)
     records = [record for record in found if record.name in accepted]
+    if start is not None:
+        records = [laid(models, record) for record in records]
+        manifest["model"] = {"name": start, "side": models["right"].side, "sha256": digest}
     rows = [{key: record.row.get(key) for key in _KEPT_OF_ROW} for record in records]
     for row in rows:
         # What a curator accepted is as good as what the verdict did: decisions do not come along.
@@ -112,6 +127,13 @@ def both_sides(name: str) -> dict[str, SurfaceModel]:
     return {"right": open_model(name), "left": open_model(name, side="left")}
 
 
+def laid(models: dict[str, SurfaceModel], record: SessionRecord) -> SessionRecord:
+    """The registration with pose, shape and translation of another model that lies on its vertices."""
+    pose, vertices = (np.asarray(array, dtype=np.float64) for array in (record.pose, record.vertices))
+    found = start_on(models[record.side], pose, vertices, PoseAndShape())
+    return replace(record, pose=found.pose, shape=found.shape, translation=found.translation)
+
+
 def posed(models: dict[str, SurfaceModel], record: SessionRecord) -> np.ndarray:
     """(V, 3) the fitted model of a record, from its numbers in the precision that is kept."""
     shape, pose = (np.asarray(array, dtype=np.float32) for array in (record.shape, record.pose))
@@ -147,10 +169,13 @@ def main() -> None:
     )
     parser.add_argument("what", choices=("pack", "unpack"))
     parser.add_argument("folder", type=Path)
+    parser.add_argument(
+        "--start", help="model of the box; else the one that the registrations were made with"
+    )
     parser.add_argument("--file", type=Path, default=FILE)
     asked = parser.parse_args()
     if asked.what == "pack":
-        write_bytes(asked.file, packed(asked.folder))
+        write_bytes(asked.file, packed(asked.folder, asked.start))
         print(f"{asked.file}: {asked.file.stat().st_size / 1e6:.1f} MB")
         return
     manifest, records = unpacked(asked.file)

@@ -93,6 +93,32 @@ def test_the_curator_decides(tool, folder, tmp_path):
     )
 
 
+def test_a_model_of_the_box_is_laid_onto_what_another_registered(tool, folder, tmp_path):
+    other = tmp_path / "other"
+    shutil.copytree(folder, other)
+    manifest = json.loads((other / MANIFEST).read_text())
+    manifest["model"] |= {"name": "hand", "sha256": "learned in the first round"}
+    (other / MANIFEST).write_text(json.dumps(manifest))
+    with pytest.raises(SystemExit, match="not in the box; give one of it with --start"):
+        tool.packed(other)
+    (tmp_path / "packed.npz").write_bytes(tool.packed(other, "start_hand"))
+    manifest, records = tool.unpacked(tmp_path / "packed.npz")
+    assert manifest["model"]["sha256"] == model_digest(open_model("start_hand"))
+    before = {record.name: record for record in tool.read_records(folder)}
+    for record in records:
+        known = before[record.name]
+        assert np.abs(record.vertices - known.vertices).max() < tool.STEP / 2 + 1e-5
+        lying = evaluate(
+            open_model("start_hand", side=record.side), record.shape, record.pose, record.translation
+        ).vertices
+        left_alone = evaluate(
+            open_model("start_hand", side=record.side), known.shape, known.pose, known.translation
+        ).vertices
+        off, off_before = (np.square(one - record.vertices).mean() for one in (lying, left_alone))
+        # A millimetre of noise stays, what the correctives of the two differ by goes.
+        assert off < off_before and np.sqrt(3 * off) < 3e-3
+
+
 def test_byte_planes_hold_any_16_bits(tool):
     numbers = np.array([0, 1, -1, 255, -256, 2**15 - 1, -(2**15) + 1])
     np.testing.assert_array_equal(tool.of_byte_planes(tool.byte_planes(numbers)), numbers)
