@@ -126,7 +126,7 @@ def test_it_listens_on_this_machine_only(registered):
 def shown(page, decided: int, name: str | None = None) -> str:
     """Wait until so many are decided (and a scan is shown); the name of the scan."""
     wanted = f"#curation[data-decided='{decided}']" + (f"[data-name='{name}']" if name else "")
-    return page.wait_for_selector(wanted, timeout=30_000, state="attached").get_attribute("data-name")
+    return page.wait_for_selector(wanted, timeout=120_000, state="attached").get_attribute("data-name")
 
 
 def kill_browser(profile: Path) -> None:
