@@ -52,7 +52,7 @@ class LearningOptions:
     neutral_floor: float = 1.0
     correctives: bool = True
     regularisation: Literal["geodesic", "constant"] = "geodesic"
-    corrective_strength: float = 20.0
+    corrective_strength: float = 10.0
     constant_distance: float = 0.04
     weights: bool = True
     weight_strength: float = 20.0
