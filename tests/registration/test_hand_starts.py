@@ -77,16 +77,20 @@ def found(body, fist):
     return hands_tried(body, scan, begun)
 
 
-def test_a_fist_is_found_from_the_flat_hand(body, fist, found, hand_vertices):
-    _, vertices, begun = fist
-    parameters, _ = found
+@pytest.fixture(scope="module")
+def off(body, fist, hand_vertices):
+    """Mean distance of the hand from the true one, mm."""
 
-    def off(given):
+    def measured(given):
         posed = evaluate(body, given.shape, given.pose, given.translation).vertices
-        return 1e3 * np.linalg.norm(posed - vertices, axis=1)[hand_vertices].mean()
+        return 1e3 * np.linalg.norm(posed - fist[1], axis=1)[hand_vertices].mean()
 
-    assert off(begun) > 30
-    assert off(parameters) < 6
+    return measured
+
+
+def test_a_fist_is_found_from_the_flat_hand(fist, found, off):
+    assert off(fist[2]) > 30
+    assert off(found[0]) < 6
 
 
 def test_what_was_tried_says_what_it_gained_and_where_the_arm_lies(fist, found):
@@ -105,7 +109,7 @@ def test_only_the_arm_moves(body, fist, found):
     assert np.array_equal(parameters.shape, begun.shape)
 
 
-def test_a_second_round_tries_what_was_promising(body, fist, found, monkeypatch):
+def test_a_second_round_tries_what_was_promising(body, fist, found, off, monkeypatch):
     scan = fist[0]
     parameters, tried = found
     asked = []
@@ -115,12 +119,13 @@ def test_a_second_round_tries_what_was_promising(body, fist, found, monkeypatch)
         "_best_of",
         lambda fit, starts, own: asked.append(starts) or wide(fit, starts, own),
     )
-    _, (again,) = hands_tried(body, scan, parameters, tried)
+    second, (again,) = hands_tried(body, scan, parameters, tried)
     fingers = slice(-1 - np.size(tried[0].promising[0]), -1)  # before the one shape number
     known = {tuple(start) for start in tried[0].promising}
     assert {tuple(start[fingers]) for start in asked[0]} == known
     assert len(known) < 0.5 * len(asked[1])  # of the thumbs all are tried again
-    assert again.cost < 1.2 * tried[0].cost
+    # Costs of two rounds do not compare: what is cut out of the scan about a forearm that has moved differs.
+    assert again.cost <= again.cost_before and off(second) < 2
 
 
 def test_landmarks_lead_to_where_the_arm_lies(body, found):
