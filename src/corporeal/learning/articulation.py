@@ -21,7 +21,6 @@ from corporeal.learning.objective import Priors
 from corporeal.learning.poses import add_joint_blocks
 from corporeal.learning.state import LearningState, Registrations
 from corporeal.learning.templates import block_diagonal
-from corporeal.solve.blas_threads import single_threaded_blas
 
 # Observations per vertex that hold the template: with learning's own 0.5 joints are drawn 1 mm towards the
 # start model's.
@@ -106,9 +105,7 @@ def fit_articulation(
             priors.joint_strengths[hand], priors.hinges,
         )  # fmt: skip
         begun = _Hand(templates[hand], joints[hand], rotations[rows], translations[rows])
-        # Two threads took twice as long: the matrices are small.
-        with single_threaded_blas():
-            found = _settled(begun, rig, fixed)
+        found = _settled(begun, rig, fixed)
         templates[hand], joints[hand] = found.template, found.joints
         rotations[rows], translations[rows] = found.rotations, found.translations
     return replace(state, templates=templates, joints=joints, rotations=rotations, translations=translations)
