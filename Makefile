@@ -43,6 +43,9 @@ registrations: $(VENV)/.demo
 	$(BIN)/python assets/registered_hands.py pack $(HAND_OUT)/round-2 --start soft_hand
 
 # Work is stolen from the end of the other's half: dealt out in turns, both workers made the dear fixtures of every file.
+# They share the cores: a second BLAS thread each costs more than it saves.
+test numpy2: export OPENBLAS_NUM_THREADS := 1
+test numpy2: export OMP_NUM_THREADS := 1
 test: lint
 	$(BIN)/python -m pytest -q -n auto --dist worksteal
 	$(MAKE) --no-print-directory numpy2
