@@ -38,7 +38,8 @@ hand: $(VENV)/.demo
 registrations: $(VENV)/.demo
 	$(BIN)/corporeal simulate $(HAND_OUT)/session --subjects 31 --poses 51 --seed 0
 	$(BIN)/corporeal register $(HAND_OUT)/session -o $(HAND_OUT)/round-1 --model soft_hand
-	$(BIN)/corporeal learn $(HAND_OUT)/round-1 -o $(HAND_OUT)/round-1.npz --name hand --start-shape-weight 1
+	$(BIN)/corporeal learn $(HAND_OUT)/round-1 -o $(HAND_OUT)/round-1.npz --name hand --start-shape-weight 1 \
+		--corrective-strength 20
 	$(BIN)/corporeal register $(HAND_OUT)/session -o $(HAND_OUT)/round-2 --model $(HAND_OUT)/round-1.npz
 	$(BIN)/python assets/registered_hands.py pack $(HAND_OUT)/round-2 --start soft_hand
 
