@@ -283,7 +283,7 @@ class Learn:
     sides: Literal["both", "right-only"] = "both"
     correctives: bool = True
     regularisation: Literal["geodesic", "constant"] = "geodesic"
-    corrective_strength: float = 10.0
+    corrective_strength: float = 5.0
     hinges: bool = True
     neutral_first: bool = True
     start_shape_weight: float = 0.0

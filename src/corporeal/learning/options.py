@@ -20,9 +20,9 @@ class LearningOptions:
             joints of a hand are bent by 10 degrees. Equation 11 is singular at the zero pose.
         correctives: learn pose correctives.
         regularisation: "geodesic" (equation 10) or "constant" (SMPL).
-        corrective_strength: of the correctives' prior at a distance of 1 cm. With 5 the hand in the box
-            explained simulated bones a little better (R^2 of 0.64 for 0.63 on people held out), with 20 worse
-            (0.60); two real hands, nearly flat, alike.
+        corrective_strength: of the correctives' prior at a distance of 1 cm. With 10 the hand in the box
+            explained simulated bones a little worse (R^2 of 0.57 for 0.61 on people held out); two real hands,
+            nearly flat, alike.
         constant_distance: metres of geodesic distance that the constant cost stands for.
         weights: learn skinning weights.
         weight_strength: of the start model's weights; a displacement of 1 cm per unit of weight is one
@@ -52,7 +52,7 @@ class LearningOptions:
     neutral_floor: float = 1.0
     correctives: bool = True
     regularisation: Literal["geodesic", "constant"] = "geodesic"
-    corrective_strength: float = 10.0
+    corrective_strength: float = 5.0
     constant_distance: float = 0.04
     weights: bool = True
     weight_strength: float = 20.0
