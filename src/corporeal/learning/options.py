@@ -21,8 +21,8 @@ class LearningOptions:
         correctives: learn pose correctives.
         regularisation: "geodesic" (equation 10) or "constant" (SMPL).
         corrective_strength: of the correctives' prior at a distance of 1 cm. With 10 the hand in the box
-            explained simulated bones a little worse (R^2 of 0.57 for 0.61 on people held out); two real hands,
-            nearly flat, alike.
+            explained simulated bones a little worse (R^2 of 0.57 for 0.61 on people held out); two real
+            hands, nearly flat, alike.
         constant_distance: metres of geodesic distance that the constant cost stands for.
         weights: learn skinning weights.
         weight_strength: of the start model's weights; a displacement of 1 cm per unit of weight is one
