@@ -2,10 +2,10 @@
 
 Every scan is registered once, with the hand in the box; all models begin on that registration, laid onto its
 vertices (``start_on``), and then on each other's fits: of a model's fits the one of lowest objective counts.
-Begun once, the left hand's scattered by 0.1 mm with the start. None may use landmarks, limits of joints or
-free vertices. Printed are unrobust
-distances from the scan to each fitted model beyond the wrist plane, millimetres, and the norm of the shape
-coefficients, which says how far a model had to go from the people it knows.
+Begun once, those of the left hand scattered by 0.1 mm with the start. None may use landmarks, limits of
+joints or free vertices. Printed are unrobust distances from the scan to each fitted model beyond the wrist
+plane, millimetres, and the norm of the shape coefficients, which says how far a model had to go from the
+people it knows.
 
     python benchmarks/model_alone.py [--models hand soft_hand start_hand FILE ...] [--shapes 30]
 """

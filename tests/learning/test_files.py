@@ -1,5 +1,7 @@
 """A learned model and its companion on disk."""
 
+import io
+
 import numpy as np
 import pytest
 
@@ -42,6 +44,11 @@ def test_what_is_wrong_with_the_companion_is_said(learned, tmp_path):
     content = companion_path(path).read_bytes()
     companion_path(path).write_bytes(content[: len(content) // 2])
     with pytest.raises(LearnedFileError, match=r"arm\.learning\.npz: damaged"):
+        load_learned(path)
+    with np.load(io.BytesIO(content)) as archive:
+        earlier = {name: archive[name] for name in archive.files if name != "options"}
+    np.savez(companion_path(path), **earlier)
+    with pytest.raises(LearnedFileError, match=r"holds no 'options': written by an earlier version"):
         load_learned(path)
     companion_path(path).unlink()
     with pytest.raises(LearnedFileError, match=r"arm\.learning\.npz: missing"):

@@ -124,8 +124,10 @@ def test_a_second_round_tries_what_was_promising(body, fist, found, off, monkeyp
     known = {tuple(start) for start in tried[0].promising}
     assert {tuple(start[fingers]) for start in asked[0]} == known
     assert len(known) < 0.5 * len(asked[1])  # of the thumbs all are tried again
-    # Costs of two rounds do not compare: what is cut out of the scan about a forearm that has moved differs.
-    assert again.cost <= again.cost_before and off(second) < 2
+    # Against a second round that tries all: the first's cost is of another cut of the scan, made before the
+    # forearm moved.
+    _, (all_again,) = hands_tried(body, scan, parameters)
+    assert again.cost < 1.2 * all_again.cost and off(second) < 2
 
 
 def test_landmarks_lead_to_where_the_arm_lies(body, found):

@@ -72,6 +72,10 @@ def load_learned(path: Path | str) -> LearnedModel:
         raise LearnedFileError(
             f"{companion}: missing; personal templates and poses stand there: learn the model again"
         ) from error
+    except KeyError as error:
+        raise LearnedFileError(
+            f"{companion}: holds no {error}: written by an earlier version, or damaged; learn the model again"
+        ) from error
     except Exception as error:  # Damaged bytes make the zip, npy and JSON parsers raise nearly anything.
         raise LearnedFileError(f"{companion}: damaged ({error}); learn the model again") from error
     if kept["templates"].shape[1:] != model.template.shape:
