@@ -16,7 +16,6 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-import scipy.sparse as sp
 
 from corporeal.cli.held_out_session import read_registered, true_scans
 from corporeal.learning.evaluation.simulated_truth import (
@@ -27,20 +26,10 @@ from corporeal.learning.evaluation.simulated_truth import (
 )
 from corporeal.learning.evaluation.truth import compare_with_truth
 from corporeal.learning.files import load_learned
+from corporeal.learning.joint_places import with_shifted_joints
 from corporeal.learning.personal import personal_model
 from corporeal.model.surface_model import SurfaceModel
 from corporeal.scans.simulation.simulate import true_hand
-
-
-def with_joints(model: SurfaceModel, joints: np.ndarray) -> SurfaceModel:
-    """The model with joints where they are asked for: every row an affine combination of four vertices."""
-    corners = np.linspace(0, model.vertex_count - 1, 4).astype(int)
-    places, ones = model.template[corners], np.ones(4)
-    rows = np.zeros((model.joint_count, model.vertex_count))
-    rows[:, corners] = np.linalg.solve(
-        np.vstack([places.T, ones]), np.vstack([joints.T, np.ones(len(joints))])
-    ).T
-    return model.replace(joint_regressor=sp.csr_matrix(rows))
 
 
 def bones(model: SurfaceModel, joints: np.ndarray) -> np.ndarray:
@@ -83,7 +72,7 @@ def main() -> None:
         along = np.einsum("ka,ka->k", off, bones(model, template.joints))
         errors.append(np.stack([np.linalg.norm(off, axis=1), along], axis=1))
         own += surfaces_at_true_poses(personal, template, some, zero)
-        exact += surfaces_at_true_poses(with_joints(personal, template.joints), template, some, zero)
+        exact += surfaces_at_true_poses(with_shifted_joints(personal, -off), template, some, zero)
     for name, (distance, along) in zip(model.joint_names, 1e3 * np.mean(errors, axis=0), strict=True):
         print(f"{name:10s}{distance:6.1f}{along:+7.1f}")
     print(f"{'mean':10s}{1e3 * np.mean(errors, axis=(0, 1))[0]:6.2f}")

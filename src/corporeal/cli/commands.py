@@ -252,6 +252,32 @@ class Report:
 
 
 @dataclass(frozen=True)
+class Joints:
+    """Place a start model's joints by scans, before a session is registered with it.
+
+    Registrations slide where a joint of the model lies wrong in its skin, and what is learned from them keeps
+    it there. Poses, shapes and joints are fitted to scans together, without free vertices.
+
+    Attributes:
+        registrations: folder that ``corporeal register SESSION -o`` wrote to; a first, rough one will do.
+        output: the model file (.npz).
+        start: the model whose joints are moved; the one that the session was registered with, if not given.
+        scans: of every person, evenly from the least bent to the most.
+        name: of the model; the start's name if not given.
+        precision: in which shape, expression and pose directions are stored.
+        json: also write the machine-readable result to this file.
+    """
+
+    registrations: tyro.conf.Positional[Path]
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    start: str | None = None
+    scans: int = 12
+    name: str | None = None
+    precision: Literal["float64", "float32", "float16"] = "float64"
+    json: Path | None = None
+
+
+@dataclass(frozen=True)
 class Learn:
     """Learn a model from registered sessions: shape, joints, skinning weights, pose correctives, pose PCA.
 

@@ -1,4 +1,4 @@
-"""What ``corporeal evaluate`` reads of a held-out session: registrations, scans and their truth."""
+"""What commands read of a registered session: registrations, scans and their truth."""
 
 from __future__ import annotations
 
@@ -28,6 +28,7 @@ from corporeal.registration.session.files import (
 from corporeal.registration.session.records import RecordError, SessionRecord
 from corporeal.scans.files import ScanFileError
 from corporeal.scans.formats.session import LIST
+from corporeal.scans.scan import Scan
 from corporeal.scans.segmentation import remove_object
 from corporeal.scans.simulation.simulate import ScanTruth, SimulationOptions
 
@@ -63,7 +64,7 @@ def read_registered(folder: Path, model: SurfaceModel) -> RegisteredSession:
         records = [record for record in read_records(folder) if record.side == model.side]
         registrations = training_set(records, model, read_decisions(folder))
     except (RecordError, SessionFolderError, LearningError) as error:
-        raise CommandError(f"--test {folder}: {error}", 2) from error
+        raise CommandError(f"{folder}: {error}", 2) from error
     session, options = _manifest(folder)
     return RegisteredSession(
         folder=folder,
@@ -111,21 +112,28 @@ def scored_scans(test: RegisteredSession, chosen: HeldOut) -> list[HeldOutScan]:
     Raises:
         CommandError: one cannot be read.
     """
-    scans, registrations = [], chosen.registrations
-    for index in chosen.scored:
-        name = registrations.names[index]
-        try:
-            scan = scan_of(test.records[name], test.session)
-            scan = remove_object(scan) if test.green_objects else scan
-        except (ScanFileError, ValueError) as error:
-            raise CommandError(f"--test {test.folder}: the scan {name} is missing: {error}") from error
-        scans.append(
-            HeldOutScan(
-                name, registrations.subjects[index], registrations.hands[index], scan,
-                registrations.poses[index], registrations.vertices[index],
-            )
-        )  # fmt: skip
-    return scans
+    registrations = chosen.registrations
+    return [
+        HeldOutScan(
+            registrations.names[index], registrations.subjects[index], registrations.hands[index],
+            read_scan_of(test, registrations.names[index]), registrations.poses[index],
+            registrations.vertices[index],
+        )
+        for index in chosen.scored
+    ]  # fmt: skip
+
+
+def read_scan_of(registered: RegisteredSession, name: str) -> Scan:
+    """A scan of a registered session, without green objects where it was registered so.
+
+    Raises:
+        CommandError: it cannot be read.
+    """
+    try:
+        scan = scan_of(registered.records[name], registered.session)
+        return remove_object(scan) if registered.green_objects else scan
+    except (ScanFileError, ValueError) as error:
+        raise CommandError(f"{registered.folder}: the scan {name} is missing: {error}") from error
 
 
 def true_scans(test: RegisteredSession, hands: Iterable[str]) -> list[TrueScan]:

@@ -14,6 +14,7 @@ from corporeal.cli.commands import (
     Curate,
     Evaluate,
     Info,
+    Joints,
     Learn,
     Merge,
     Pipeline,
@@ -31,6 +32,7 @@ Command = (
     | Annotated[Convert, tyro.conf.subcommand("convert")]
     | Annotated[Simulate, tyro.conf.subcommand("simulate")]
     | Annotated[Curate, tyro.conf.subcommand("curate")]
+    | Annotated[Joints, tyro.conf.subcommand("joints")]
     | Annotated[Learn, tyro.conf.subcommand("learn")]
     | Annotated[Pipeline, tyro.conf.subcommand("pipeline")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
