@@ -88,6 +88,7 @@ def test_the_jacobian_of_a_shift_is_its_slope(true):
     np.testing.assert_allclose(found, (sides[0] - sides[1]) / (2 * step), atol=1e-7)
 
 
+@pytest.mark.slow
 def test_joints_that_were_displaced_come_back(true, displaced, scans):
     wrong = with_shifted_joints(true, displaced)
     told = []
@@ -106,6 +107,7 @@ def test_joints_that_were_displaced_come_back(true, displaced, scans):
         assert getattr(placed.model, name) is getattr(wrong, name)
 
 
+@pytest.mark.slow
 def test_joints_that_are_right_stay(true, scans):
     placed = place_joints(true, scans, JointPlaceOptions(steps=8))
     assert np.abs(placed.shifts[0]).max() == 0, "the root's place cannot be told"
