@@ -4,7 +4,7 @@
     corporeal learn REG -o hand.npz --name hand --start-shape-weight 1
     python assets/registered_hands.py pack REG [--start soft_hand] [--file FILE]
 
-Simulating and registering the session takes hours; its records take 40 MB, this file six. Vertices are kept
+Simulating and registering the session takes hours; its records take 40 MB, this file seven. Vertices are kept
 as offsets from the fitted model, rounded to a tenth of a millimetre, and of these the differences to the
 vertex before in a walk over the mesh, which are nearly all a few steps. Landmarks, signals and rejected scans
 are left out. ``pack`` takes what is accepted in a registered session. Where another model made its

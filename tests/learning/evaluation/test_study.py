@@ -111,6 +111,7 @@ def test_what_is_compared(study, known_tube):
     assert set(free) == {"learned", "asset start", "crude start", "start"}
     assert free["asset start"].models["s06/right"] is other
     assert free["start"].models["s06/right"] is known_tube.start
+    assert free["crude start"].models["s06/right"].name == "before_crude", "no scan has shaped it"
 
 
 @pytest.mark.slow

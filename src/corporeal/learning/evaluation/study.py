@@ -163,10 +163,14 @@ def pose_only(study: Study) -> list[ComparedModel]:
 
 
 def pose_and_shape_free(study: Study) -> list[ComparedModel]:
-    """The learned model, the asset and a crude start; the start too, where it is another than the asset."""
+    """The learned model, the asset and a crude start; the start too, where it is another than the asset.
+
+    The crude one is made of the asset: joints that scans have placed would make it less crude.
+    """
     models = {LEARNED: study.learned.model}
     if study.start is not None:
-        models |= {ASSET: study.asset or study.start, CRUDE: crude_start(study.start)}
+        asset = study.asset or study.start
+        models |= {ASSET: asset, CRUDE: crude_start(asset)}
     if study.start is not None and study.asset is not None:
         models[START] = study.start
     return [
