@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from corporeal.cli.held_out_session import RegisteredSession, read_registered, true_scans
 from corporeal.cli.named_models import named_model
+from corporeal.cli.registered_session import RegisteredSession, read_registered, true_scans
 from corporeal.geometry.rotations_numeric import matrix_from_axis_angle
 from corporeal.geometry.topology import unique_edges
 from corporeal.learning.correctives import fit_correctives

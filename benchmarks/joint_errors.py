@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from corporeal.cli.held_out_session import read_registered, true_scans
+from corporeal.cli.registered_session import read_registered, true_scans
 from corporeal.learning.evaluation.simulated_truth import (
     flexed,
     surfaces_at_true_poses,

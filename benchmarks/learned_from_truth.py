@@ -23,8 +23,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from corporeal.cli.held_out_session import read_truth, simulation_of
 from corporeal.cli.named_models import named_model
+from corporeal.cli.registered_session import read_truth, simulation_of
 from corporeal.learning.evaluation.results import TruthResult
 from corporeal.learning.evaluation.simulated_truth import (
     TrueScan,

@@ -10,8 +10,8 @@ from rich.console import Console
 
 from corporeal.cli import evaluate, variant_models
 from corporeal.cli.commands import Evaluate
-from corporeal.cli.held_out_session import read_registered, true_scans
 from corporeal.cli.main import main
+from corporeal.cli.registered_session import read_registered, true_scans
 from corporeal.cli.variant_models import learned_variants
 from corporeal.export.meshes import write_ply
 from corporeal.learning.evaluation import study

@@ -15,15 +15,15 @@ from corporeal.cli.commands import Evaluate
 from corporeal.cli.errors import CommandError
 from corporeal.cli.evaluation_pictures import write_evaluation_pictures
 from corporeal.cli.files import check_output_folder, check_result, write_json, write_result
-from corporeal.cli.held_out_session import (
+from corporeal.cli.learn import gathered
+from corporeal.cli.named_models import named_model
+from corporeal.cli.registered_session import (
     RegisteredSession,
     check_unseen,
     read_registered,
     scored_scans,
     true_scans,
 )
-from corporeal.cli.learn import gathered
-from corporeal.cli.named_models import named_model
 from corporeal.cli.session_pictures import model_of
 from corporeal.cli.variant_models import learned_variants
 from corporeal.export.evaluation_plots import write_evaluation_plots

@@ -14,8 +14,8 @@ import corporeal
 from corporeal.cli.commands import Joints
 from corporeal.cli.errors import CommandError
 from corporeal.cli.files import check_output_folder, check_result, write_result
-from corporeal.cli.held_out_session import RegisteredSession, read_registered, read_scan_of
 from corporeal.cli.named_models import named_model
+from corporeal.cli.registered_session import RegisteredSession, read_registered, read_scan_of
 from corporeal.cli.session_pictures import model_of
 from corporeal.learning.joint_places import PlacedJoints, PosedScan, place_joints
 from corporeal.learning.training_set import LearningError, TrainingSet
