@@ -151,6 +151,14 @@ def test_a_number_that_is_not_finite_is_named(records, tmp_path, capsys, write_r
     assert _learn(folder, tmp_path / "m.npz", *_SMALL) == 0
 
 
+def test_no_folder_and_a_start_that_is_not_there_are_refused(registrations, tmp_path, capsys):
+    for start in ([], ["--start", "hand"]):
+        assert main(["learn", "-o", str(tmp_path / "m.npz"), *start]) == 2
+        assert "give at least one folder" in capsys.readouterr().err
+    assert _learn(registrations, tmp_path / "m.npz", "--start", "nobody") == 2
+    assert "--start nobody: no model of that name" in " ".join(capsys.readouterr().err.split())
+
+
 def test_too_few_people_are_too_few(records, tmp_path, capsys, write_registrations):
     folder = write_registrations(tmp_path / "reg", [r for r in records if r.row["subject"] < "s02"])
     assert _learn(folder, tmp_path / "m.npz") == 1

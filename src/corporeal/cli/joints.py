@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,9 +13,7 @@ import corporeal
 from corporeal.cli.commands import Joints
 from corporeal.cli.errors import CommandError
 from corporeal.cli.files import check_output_folder, check_result, write_result
-from corporeal.cli.named_models import named_model
-from corporeal.cli.registered_session import RegisteredSession, read_registered, read_scan_of
-from corporeal.cli.session_pictures import model_of
+from corporeal.cli.registered_session import RegisteredSession, read_registered, read_scan_of, start_of
 from corporeal.learning.joint_places import PlacedJoints, PosedScan, place_joints
 from corporeal.learning.training_set import LearningError, TrainingSet
 from corporeal.model.files import ModelFileError, save_model
@@ -32,7 +29,7 @@ def run(config: Joints) -> int:
     _check_call(config)
     console = Console(stderr=True, markup=False, highlight=False, soft_wrap=True)
     begun = time.monotonic()
-    start = _start(config)
+    start = start_of(config.start, config.registrations)
     session = read_registered(config.registrations, start)
     chosen = evenly_bent(session.registrations, config.scans)
     hands = len(set(chosen.hands))
@@ -91,13 +88,6 @@ def read_posed(session: RegisteredSession, chosen: TrainingSet) -> list[PosedSca
 def _evenly(indices: Int[np.ndarray, " n"], bends: np.ndarray, count: int) -> Int[np.ndarray, " m"]:
     ordered = indices[np.argsort(-bends[indices], kind="stable")]
     return ordered[np.unique(np.linspace(0, len(ordered) - 1, count).astype(int))]
-
-
-def _start(config: Joints) -> SurfaceModel:
-    try:
-        return named_model(Path(config.start)) if config.start else model_of(config.registrations)
-    except ModelFileError as error:
-        raise CommandError(f"--start {error}", 2) from error
 
 
 def _notes(start: SurfaceModel, scans: int, hands: int) -> dict[str, Any]:

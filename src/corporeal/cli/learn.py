@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import time
 from collections.abc import Mapping, Sequence
@@ -17,8 +18,7 @@ from corporeal.cli.commands import Learn
 from corporeal.cli.errors import CommandError
 from corporeal.cli.files import check_output_folder, check_result, write_result
 from corporeal.cli.learned_pictures import write_pictures
-from corporeal.cli.named_models import named_model
-from corporeal.cli.session_pictures import model_of
+from corporeal.cli.registered_session import start_of
 from corporeal.learning.files import LearnedFileError, companion_path, load_learned, save_learned
 from corporeal.learning.learn import learn_model
 from corporeal.learning.learned import LearnedModel, StepLog
@@ -58,7 +58,7 @@ def run(config: Learn) -> int:
     """Learn, write the model and what it was learned with; 0 when both are written."""
     _check_call(config)
     console = Console(stderr=True)
-    start = named_model(Path(config.start)) if config.start else model_of(config.registrations[0])
+    start = start_of(config.start, config.registrations[0])
     training = gathered(config.registrations, start)
     if config.sides == "right-only":
         training = _of_side(training, "right")
@@ -120,25 +120,22 @@ def draw_model(path: Path, console: Console) -> None:
 
 
 def gathered(folders: Sequence[Path], start: SurfaceModel) -> TrainingSet:
-    """The accepted registrations of all folders.
+    """The accepted registrations of all folders, one or more.
 
     People of the same name in two folders are one person only where the folders register one session.
 
     Raises:
         CommandError: a folder cannot be read, or was registered with another model than the start.
     """
-    together: TrainingSet | None = None
+    sets = []
     try:
         for folder in folders:
             manifest = read_json_file(folder / MANIFEST) or {}
             _check_model(folder, manifest, start)
-            found = training_set(read_records(folder), start, read_decisions(folder))
-            together = found if together is None else together.joined(found)
+            sets.append(training_set(read_records(folder), start, read_decisions(folder)))
     except (RecordError, SessionFolderError, LearningError) as error:
         raise CommandError(str(error), 2) from error
-    if together is None:
-        raise CommandError("REG: give at least one folder that corporeal register wrote to", 2)
-    return together
+    return functools.reduce(TrainingSet.joined, sets)
 
 
 def learned_from(
@@ -236,6 +233,8 @@ def _check_model(folder: Path, manifest: Mapping[str, Any], start: SurfaceModel)
 
 
 def _check_call(config: Learn) -> None:
+    if not config.registrations:
+        raise CommandError("REG: give at least one folder that corporeal register wrote to", 2)
     if config.output.suffix != ".npz":
         raise CommandError(f"-o {config.output}: name a file that ends in .npz", 2)
     check_output_folder(config.output.parent)

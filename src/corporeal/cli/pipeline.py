@@ -19,7 +19,7 @@ from corporeal.cli.commands import Pipeline, Simulate
 from corporeal.cli.errors import CommandError
 from corporeal.cli.files import check_output_folder, check_result, write_result
 from corporeal.cli.learn import LearnCall, draw_model, gathered, learn_file
-from corporeal.cli.named_models import named_model
+from corporeal.cli.registered_session import start_of
 from corporeal.cli.session import SessionCall, run_session
 from corporeal.learning.files import companion_path
 from corporeal.learning.options import LearningOptions
@@ -74,10 +74,7 @@ def run(config: Pipeline) -> int:
     """Do what is missing; 0 when the model of the last round is there, or it is the curator's turn."""
     _check_call(config)
     console = Console(stderr=True, markup=False, highlight=False, soft_wrap=True)
-    try:
-        model = named_model(Path(config.start))
-    except ModelFileError as error:
-        raise CommandError(f"--start {error}", 2) from error
+    model = start_of(config.start, config.output)
     if config.simulate:
         workers = config.workers or 0
         simulate.run(Simulate(config.session, config.subjects, config.poses, config.seed, workers=workers))

@@ -12,11 +12,13 @@ from typing import Any
 import numpy as np
 
 from corporeal.cli.errors import CommandError
-from corporeal.cli.session_pictures import scan_of
+from corporeal.cli.named_models import named_model
+from corporeal.cli.session_pictures import model_of, scan_of
 from corporeal.learning.evaluation.held_out import HeldOut
 from corporeal.learning.evaluation.pose_generalisation import HeldOutScan
 from corporeal.learning.evaluation.simulated_truth import TrueScan, planned_scans
 from corporeal.learning.training_set import LearningError, TrainingSet, training_set
+from corporeal.model.files import ModelFileError
 from corporeal.model.surface_model import SurfaceModel
 from corporeal.registration.session.files import (
     MANIFEST,
@@ -74,6 +76,20 @@ def read_registered(folder: Path, model: SurfaceModel) -> RegisteredSession:
         records={record.name: record for record in records},
         registrations=registrations,
     )
+
+
+def start_of(start: str | None, folder: Path) -> SurfaceModel:
+    """The model that ``--start`` names, or where it is not given the one that a session was registered with.
+
+    Raises:
+        CommandError: it cannot be read.
+    """
+    if start is None:
+        return model_of(folder)
+    try:
+        return named_model(Path(start))
+    except (OSError, ModelFileError) as error:
+        raise CommandError(f"--start {error}", 2) from error
 
 
 def check_unseen(test: RegisteredSession, train: Sequence[Path], subjects: Iterable[str]) -> None:

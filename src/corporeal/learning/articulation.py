@@ -19,6 +19,7 @@ from corporeal.learning import skinning_kernels as kernels
 from corporeal.learning.hinges import HingePrior
 from corporeal.learning.objective import Priors
 from corporeal.learning.poses import add_joint_blocks
+from corporeal.learning.rigging import joints_below
 from corporeal.learning.state import LearningState, Registrations
 from corporeal.learning.templates import block_diagonal
 
@@ -112,9 +113,7 @@ def fit_articulation(
 
 
 def _rig(state: LearningState) -> _Rig:
-    below = np.eye(len(state.parents))
-    for joint in range(len(state.parents) - 1, 0, -1):
-        below[:, state.parents[joint]] += below[:, joint]
+    below = joints_below(state.parents)
     return _Rig(state.weights, state.weights @ below, below, state.parents)
 
 

@@ -53,14 +53,14 @@ def assembled(state: LearningState, start: SurfaceModel, options: LearningOption
         skinning_weights=state.weights,
         pose_directions=np.ascontiguousarray(directions),
         pose_blocks=tuple(blocks),
-        cut=_cut(start, state.regressor @ template),
+        cut=same_cut(start, state.regressor @ template),
     )
     count = len(state.rotations)
     poses = axis_angle_from_matrix(state.rotations.reshape(-1, 3, 3)).reshape(count, K, 3)
     return Assembly(model, shift, poses, shapes.variances, variances)
 
 
-def _cut(start: SurfaceModel, joints: Float[np.ndarray, "K 3"]) -> CutPlane | None:
+def same_cut(start: SurfaceModel, joints: Float[np.ndarray, "K 3"]) -> CutPlane | None:
     """The same plane of the surface, seen from a joint that may have moved."""
     if start.cut is None:
         return None

@@ -18,7 +18,10 @@ import scipy.sparse as sp
 from jaxtyping import Float
 
 from corporeal.geometry.closest_points import SurfaceTree
+from corporeal.geometry.normals import face_normals
+from corporeal.learning.assembly import same_cut
 from corporeal.learning.joint_regressor import fit_regressor
+from corporeal.learning.rigging import joints_below
 from corporeal.learning.training_set import LearningError
 from corporeal.model.jacobian import Linearised, linearise
 from corporeal.model.surface_model import SurfaceModel
@@ -127,9 +130,10 @@ def place_joints(
     options = options or JointPlaceOptions()
     _check(model, scans)
     scans, shifts, rms = _of_one_shape(scans), np.zeros((model.joint_count, 3)), []
+    tree = SurfaceTree(model.template, model.faces)
     for step in range(options.steps):
         moved = with_shifted_joints(model, shifts)
-        found = [_equations(moved, scan, options) for scan in scans]
+        found = [_equations(moved, tree, scan, options) for scan in scans]
         rms.append(1e3 * float(np.sqrt(sum(e.squares for e in found) / sum(e.weight for e in found))))
         scans, change = _stepped(scans, found, shifts, options.strength)
         shifts = shifts + change
@@ -152,7 +156,7 @@ def with_shifted_joints(model: SurfaceModel, shifts: Float[np.ndarray, "K 3"]) -
     affine = np.vstack([model.template.T, np.ones(model.vertex_count)])
     wanted = np.vstack([shifts.T, np.zeros(len(shifts))])
     rows = (affine.T @ np.linalg.solve(affine @ affine.T, wanted)).T
-    return model.replace(joint_regressor=sp.csr_matrix(model.joint_regressor.toarray() + rows))
+    return _with_regressor(model, sp.csr_matrix(model.joint_regressor.toarray() + rows))
 
 
 def shift_jacobian(model: SurfaceModel, posed: Linearised) -> Float[np.ndarray, "V K 3 3"]:
@@ -160,10 +164,7 @@ def shift_jacobian(model: SurfaceModel, posed: Linearised) -> Float[np.ndarray, 
 
     What lies below a joint k is carried by its shift turned by R_parent - R_k, in world rotations.
     """
-    below = np.eye(model.joint_count)
-    for joint in range(model.joint_count - 1, 0, -1):
-        below[:, model.parents[joint]] += below[:, joint]
-    carried = np.asarray(model.skinning_weights @ below)
+    carried = np.asarray(model.skinning_weights @ joints_below(model.parents))
     R = posed.T_world_joint[:, :3, :3]
     turns = R[model.parents] - R
     turns[0] = 0
@@ -191,10 +192,13 @@ def _of_one_shape(scans: Sequence[PosedScan]) -> list[PosedScan]:
     return [replace(scan, shape=shapes[scan.hand]) for scan in scans]
 
 
-def _equations(model: SurfaceModel, scan: PosedScan, options: JointPlaceOptions) -> _Equations:
-    """Point-to-plane distances of a scan's points, linearised."""
+def _equations(
+    model: SurfaceModel, tree: SurfaceTree, scan: PosedScan, options: JointPlaceOptions
+) -> _Equations:
+    """Point-to-plane distances of a scan's points, linearised; the tree is moved to the posed surface."""
     posed = linearise(model, scan.shape, scan.pose, scan.translation)
-    closest = SurfaceTree(posed.vertices, model.faces).closest(scan.points)
+    tree.refit(posed.vertices)
+    closest = tree.closest(scan.points)
     corners = model.faces[closest.faces]
     kept = closest.distances < options.reach
     if model.cut is not None:
@@ -207,9 +211,7 @@ def _equations(model: SurfaceModel, scan: PosedScan, options: JointPlaceOptions)
             f"model, {_FEWEST_POINTS} are needed; leave it out, or register it again"
         )
     corners, shares = corners[kept], closest.barycentric[kept]
-    first, second, third = (posed.vertices[corners[:, corner]] for corner in range(3))
-    normals = np.cross(second - first, third - first)
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = face_normals(posed.vertices, model.faces)[closest.faces[kept]]
     off = np.einsum("pa,pa->p", normals, scan.points[kept] - closest.points[kept])
     by_model = np.einsum("pi,piaq,pa->pq", shares, posed.vertex_jacobian[corners], normals, optimize=True)
     by_shifts = np.einsum(
@@ -271,4 +273,9 @@ def _regressed(model: SurfaceModel, shifts: Float[np.ndarray, "K 3"]) -> Surface
     surfaces = model.template + np.einsum("vas,hs->hva", model.shape_directions, shapes)
     wanted = with_shifted_joints(model, shifts).joint_regressor.toarray()
     joints = np.einsum("kv,hva->hka", wanted, surfaces)
-    return model.replace(joint_regressor=fit_regressor(surfaces, joints, model.joint_regressor))
+    return _with_regressor(model, fit_regressor(surfaces, joints, model.joint_regressor))
+
+
+def _with_regressor(model: SurfaceModel, regressor: sp.csr_matrix) -> SurfaceModel:
+    """The model with other joints; it ends at the same plane of its surface."""
+    return model.replace(joint_regressor=regressor, cut=same_cut(model, regressor @ model.template))

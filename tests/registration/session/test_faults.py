@@ -8,7 +8,6 @@ import pytest
 pytestmark = pytest.mark.slow
 
 
-@pytest.mark.slow
 def test_killed_ten_times_it_ends_with_the_same_bytes(make_session, start, finish, results, tmp_path, rng):
     session = make_session(count=40)
     undisturbed, disturbed = tmp_path / "undisturbed", tmp_path / "disturbed"
@@ -105,7 +104,6 @@ def test_a_folder_that_cannot_be_written_is_named(make_session, finish, tmp_path
     assert "Traceback" not in said
 
 
-@pytest.mark.slow
 def test_dask_agrees_with_the_local_pool(make_session, finish, results, tmp_path):
     session = make_session(count=12)
     assert finish(session, tmp_path / "pool", 2, "local-pool", 2)[0] == 0
