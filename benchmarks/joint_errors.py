@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from corporeal.cli.registered_session import read_registered, true_scans
+from corporeal.fitting.joint_places import with_shifted_joints
 from corporeal.learning.evaluation.simulated_truth import (
     flexed,
     surfaces_at_true_poses,
@@ -26,7 +27,6 @@ from corporeal.learning.evaluation.simulated_truth import (
 )
 from corporeal.learning.evaluation.truth import compare_with_truth
 from corporeal.learning.files import load_learned
-from corporeal.learning.joint_places import with_shifted_joints
 from corporeal.learning.personal import personal_model
 from corporeal.model.surface_model import SurfaceModel
 from corporeal.scans.simulation.simulate import true_hand

@@ -14,8 +14,8 @@ from corporeal.cli.commands import Joints
 from corporeal.cli.errors import CommandError
 from corporeal.cli.files import check_output_folder, check_result, write_result
 from corporeal.cli.registered_session import RegisteredSession, read_registered, read_scan_of, start_of
-from corporeal.learning.joint_places import PlacedJoints, PosedScan, place_joints
-from corporeal.learning.training_set import LearningError, TrainingSet
+from corporeal.fitting.joint_places import JointPlaceError, PlacedJoints, PosedScan, place_joints
+from corporeal.learning.training_set import TrainingSet
 from corporeal.model.files import ModelFileError, save_model
 from corporeal.model.surface_model import SurfaceModel
 from corporeal.scans.surface_sampling import sample_surface
@@ -40,7 +40,7 @@ def run(config: Joints) -> int:
                 f"step {step}: {rms:.3f} mm"
             ),
         )  # fmt: skip
-    except LearningError as error:
+    except JointPlaceError as error:
         raise CommandError(f"{config.registrations}: {error}") from error
     model = placed.model.replace(name=config.name or start.name, notes=_notes(start, len(chosen), hands))
     try:

@@ -14,7 +14,7 @@ from typing import Any
 import numba
 import torch
 
-from corporeal.cli.tracking_folder import SHEET, remove_leftovers, resumed, waiting_lock
+from corporeal.cli.tracking_folder import SHEET, mesh_path, remove_leftovers, resumed, waiting_lock
 from corporeal.cli.tracking_outputs import failed_outcome, sequence_facts, write_outputs
 from corporeal.cli.tracking_start import (
     SequenceError,
@@ -23,6 +23,7 @@ from corporeal.cli.tracking_start import (
     learned_template,
     read_frame_scan,
 )
+from corporeal.fitting.bridged_records import bridge_records
 from corporeal.fitting.files import (
     FrameRecord,
     TrackFileError,
@@ -145,7 +146,14 @@ class SequenceWorker:
             write_frame(frame_path(job.folder, frame.name), record)
             statuses[record.frame.status] += 1
             self._told(number, statuses)
+        self._step("bridging gaps")
+        names = [frame.name for frame in sequence.frames]
+        gaps = bridge_records(
+            job.folder, names, template.model, sequence.fps,
+            lambda name: mesh_path(job.folder, name).unlink(missing_ok=True),
+        )  # fmt: skip
         self._step("writing")
+        sequence = dataclasses.replace(sequence, notes=(*sequence.notes, *gaps))
         return write_outputs(sequence, job.folder, template, self._setup.meshes, self._step)
 
     def _frame(self, tracker: Tracker, frame: SequenceFrame, unit: UnitChoice) -> FrameRecord:

@@ -24,7 +24,7 @@ from corporeal.model.jacobian import evaluate
 from corporeal.scans.formats.sequence import ScanSequence
 
 _SEXES: dict[str, Gender] = {"female": "female", "male": "male"}
-_STORY = ("learned", "used", "rejected", "shape", "start", "seconds")
+_STORY = ("learned", "used", "rejected", "shape", "joint_shifts", "start", "seconds")
 
 
 def write_outputs(

@@ -155,6 +155,7 @@ def save_subject_template(folder: Path, template: SubjectTemplate, story: Mappin
         "shape": template.shape.tolist(),
         "start_pose": template.start_pose.tolist(),
         "start_translation": template.start_translation.tolist(),
+        "joint_shifts": None if template.joint_shifts is None else template.joint_shifts.tolist(),
         **story,
     }
     _write_story(folder, content)
@@ -204,6 +205,7 @@ def load_subject_template(folder: Path) -> SubjectTemplate:
     story = read_story(folder)
     if story is None:
         raise TrackFileError(f"{folder}: holds no {TEMPLATE_STORY}; give a folder that corporeal track wrote")
+    shifts = story.get("joint_shifts")
     try:
         return SubjectTemplate(
             load_model(folder / TEMPLATE),
@@ -212,6 +214,7 @@ def load_subject_template(folder: Path) -> SubjectTemplate:
             dict(story["rejected"]),
             np.array(story["start_pose"], dtype=np.float64),
             np.array(story["start_translation"], dtype=np.float64),
+            None if shifts is None else np.array(shifts, dtype=np.float64),
         )
     except (ModelFileError, KeyError, TypeError, ValueError) as error:
         raise TrackFileError(f"{folder}: its template cannot be read ({error}); use --restart") from error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from corporeal.fitting.options import TrackingOptions
 from corporeal.fitting.pose_terms import is_hand
 from corporeal.geometry.closest_points import ClosestPoints
 from corporeal.geometry.normals import face_areas, face_normals
+from corporeal.model.statistics import PoseBlock
 from corporeal.model.surface_model import SurfaceModel
 from corporeal.scans.scan import Scan
 from corporeal.scans.surface_sampling import sample_surface
@@ -47,19 +49,28 @@ def frame_points(scan: Scan, options: TrackingOptions) -> FramePoints:
 
 @dataclass(frozen=True, eq=False)
 class HandFaces:
-    """Faces of each hand of a model: "left_hand" -> (F,), by the joints that carry them."""
+    """Faces of each hand of a model, by the joints that carry them.
+
+    Attributes:
+        masks: "left_hand" -> (F,).
+        forearms: "left_forearm" -> (F,); none of a hand alone.
+    """
 
     masks: dict[str, Bool[np.ndarray, " F"]]
+    forearms: dict[str, Bool[np.ndarray, " F"]]
 
     @classmethod
     def of_model(cls, model: SurfaceModel) -> HandFaces:
         """A face is a hand's where the hand's joints carry most of its three vertices."""
-        masks = {}
+        masks, forearms = {}, {}
         for block in model.pose_blocks:
-            if is_hand(block):
-                carried = model.skinning_weights[:, list(block.joints)].sum(axis=1) > 0.5
-                masks[block.name] = carried[model.faces].sum(axis=1) >= 2
-        return cls(masks)
+            if not is_hand(block):
+                continue
+            masks[block.name] = _carried(model, block.joints)
+            above = joints_above(model, block)
+            if len(above) > 1:
+                forearms[forearm_of(block.name)] = _carried(model, above[1:2])
+        return cls(masks, forearms)
 
     def any_hand(self, count: int) -> Bool[np.ndarray, " F"]:
         """Faces of either hand, out of ``count``."""
@@ -67,6 +78,25 @@ class HandFaces:
         for mask in self.masks.values():
             found |= mask
         return found
+
+
+def joints_above(model: SurfaceModel, hand: PoseBlock) -> tuple[int, ...]:
+    """Wrist, elbow, shoulder and so on of a hand's block, up to the root, which is left out."""
+    joint, above = int(model.parents[hand.joints[0]]), []
+    while joint > 0:
+        above.append(joint)
+        joint = int(model.parents[joint])
+    return tuple(above)
+
+
+def forearm_of(hand: str) -> str:
+    """The name of a hand's forearm: "left_forearm" of "left_hand"."""
+    return hand.removesuffix("hand") + "forearm"
+
+
+def _carried(model: SurfaceModel, joints: Sequence[int]) -> Bool[np.ndarray, " F"]:
+    mostly = model.skinning_weights[:, list(joints)].sum(axis=1) > 0.5
+    return mostly[model.faces].sum(axis=1) >= 2
 
 
 def chosen_points(
@@ -87,10 +117,11 @@ def chosen_points(
 
 
 def confirmed(
-    points: FramePoints, closest: ClosestPoints, vertices: Float[np.ndarray, "V 3"], surface: MovingSurface
-) -> Bool[np.ndarray, " n"]:
-    """Points within 2 cm of the surface, on skin that faces the same way."""
-    near = closest.distances < _BESIDE
+    points: FramePoints, closest: ClosestPoints, vertices: Float[np.ndarray, "V 3"], surface: MovingSurface,
+    beside: float = _BESIDE,
+) -> Bool[np.ndarray, " n"]:  # fmt: skip
+    """Points within 2 cm of the surface, or as ``beside`` says, on skin that faces the same way."""
+    near = closest.distances < beside
     if points.normals is not None:
         own = face_normals(vertices, surface.faces)[closest.faces]
         near &= np.einsum("na,na->n", own, points.normals) > _SAME_SKIN
@@ -104,7 +135,7 @@ def seen_shares(
     surface: MovingSurface,
     hands: HandFaces,
 ) -> dict[str, float]:
-    """Share of the surface, and of each hand, that scan points confirm, by area; 1 where all of it is seen.
+    """Share of the surface, each hand and forearm that scan points confirm, by area; 1 where all is seen.
 
     Of a point cloud, whose points stand for no area, the share of faces' area per point is that of the whole.
     """
@@ -115,7 +146,7 @@ def seen_shares(
         per_point = float(areas.sum()) / len(points.positions)
     faces = closest.faces[near]
     shares = {"model_seen": _share(len(faces), per_point, float(areas.sum()))}
-    for name, mask in hands.masks.items():
+    for name, mask in (hands.masks | hands.forearms).items():
         shares[f"{name}_seen"] = _share(int(mask[faces].sum()), per_point, float(areas[mask].sum()))
     return shares
 

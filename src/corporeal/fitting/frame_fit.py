@@ -8,10 +8,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from corporeal.fitting.arm_search import ArmSearch
-from corporeal.fitting.frame_data import FramePoints, HandFaces, chosen_points, seen_shares
+from corporeal.fitting.finger_search import FingerSearch, LostFingers
+from corporeal.fitting.frame_data import FramePoints, HandFaces, chosen_points, joints_above, seen_shares
 from corporeal.fitting.free_vertices import coupled_vertices
 from corporeal.fitting.options import AnnealingStep, FreeStage, TrackingOptions
-from corporeal.fitting.pose_terms import pose_terms, tracking_subspace
+from corporeal.fitting.pose_terms import is_hand, pose_terms, tracking_subspace
 from corporeal.geometry.closest_points import ClosestPoints
 from corporeal.model.surface_model import SurfaceModel
 from corporeal.scans.scan import Scan
@@ -113,6 +114,8 @@ class FrameFitter:
         hinges = hinge_terms(model, self.fields.columns, HINGE_SIGMA)
         self._arms = {name: _arm(model, hinges, name, mask) for name, mask in self.hands.masks.items()}
         self._subspace = tracking_subspace(model, self.fields.columns, options)
+        free = [block for block in model.pose_blocks if is_hand(block) and options.hands != "flat"]
+        self._fingers = [FingerSearch.of_block(model, block) for block in free]
 
     def fit(self, points: FramePoints, start: FrameStart, steps: tuple[AnnealingStep, ...]) -> Solution:
         """Solve the steps one after the other; the last solution, which may not be usable."""
@@ -176,6 +179,14 @@ class FrameFitter:
                 if found:
                     return found
         return []
+
+    def lost_fingers(
+        self, points: FramePoints, vector: Float[np.ndarray, " Q"], scan: ScanSurface
+    ) -> list[LostFingers]:
+        """Hands whose fingers do not lie in a frame's points and surface."""
+        vertices = self.fields.evaluated(vector).vertices
+        lost = (search.lost(vertices, points.positions, scan) for search in self._fingers)
+        return [one for one in lost if one is not None]
 
     def _back_terms(
         self, scan: ScanSurface, weight: float, asked: Bool[np.ndarray, " V"], first: bool,
@@ -259,12 +270,11 @@ def _summary(mm: Float[np.ndarray, " n"]) -> dict[str, float]:
 
 def _arm(model: SurfaceModel, hinges: list[Hinges], name: str, hand: Bool[np.ndarray, " F"]) -> _Arm:
     fingers = model.block(name).joints
-    wrist = int(model.parents[fingers[0]])
-    above = [joint for joint in (wrist, int(model.parents[wrist])) if joint > 0]
-    vertices = model.skinning_weights[:, above].sum(axis=1) > 0.5
+    above = joints_above(model, model.block(name))[:2]
+    vertices = model.skinning_weights[:, list(above)].sum(axis=1) > 0.5
     vertices[np.unique(model.faces[hand])] = True
     search = ArmSearch.below(model, above[1], hinges[0]) if hinges and len(above) == 2 else None
-    return _Arm(vertices, tuple(above), fingers, search)
+    return _Arm(vertices, above, fingers, search)
 
 
 def scan_surface(scan: Scan) -> ScanSurface | None:

@@ -1,38 +1,61 @@
-"""Stage one of tracking: a subject's template from the first frames (Romero et al. 2017, section 4.3.1)."""
+"""Stage one of tracking: a subject's template from the first frames (Romero et al. 2017, section 4.3.1).
+
+The frames are followed forth. By what the rigged model misses in them the subject's joints are placed, and
+the frames followed back again, from the last, where shape and hands are known best, to the first.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from corporeal.fitting.frame_data import frame_points
+from corporeal.fitting.frame_data import FramePoints, frame_points
 from corporeal.fitting.frame_fit import FrameFitter, FrameStart, scan_surface
+from corporeal.fitting.joint_places import with_shifted_joints
 from corporeal.fitting.options import HandPose, TrackingOptions
+from corporeal.fitting.subject_joints import FittedFrame, subject_joint_shifts
 from corporeal.fitting.subject_template import SubjectTemplate, personal_model
 from corporeal.fitting.track import judged
 from corporeal.fitting.unposing import unposed
 from corporeal.model.surface_model import SurfaceModel
 from corporeal.scans.scan import Scan
 from corporeal.terms.model_fields import ModelParameters
+from corporeal.terms.surface_to_scan import ScanSurface
 
 # A frame is badly unposed where more than a twentieth of its vertices lies farther than this from the median
 # of all frames: in place of the paper's look at each.
 _UNPOSED_P95 = 8e-3
+# So many frames tell the shape anew once joints are placed.
+_FOR_SHAPE = 8
 
 
 class TemplateError(ValueError):
     """No frame of a sequence could be used for a subject's template."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Aligned:
+class _Frame(NamedTuple):
+    """What is kept of a scan: two megabytes."""
+
     name: str
-    template: Float[np.ndarray, "V 3"]
+    points: FramePoints
+    back: ScanSurface | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Followed:
+    """A frame that was fitted."""
+
+    frame: _Frame
     parameters: ModelParameters
+
+    @property
+    def name(self) -> str:
+        return self.frame.name
 
 
 def learn_subject_template(
@@ -49,85 +72,145 @@ def learn_subject_template(
         model: the body.
         start: a registration of the first frame that has a scan: place, pose, and what shape there is.
         options: of tracking.
-        on_step: told each frame's name.
+        on_step: told each frame's name, as often as it is looked at.
 
     Raises:
         TemplateError: no frame could be used.
     """
     options = options or TrackingOptions()
+    tell = on_step or (lambda name: None)
     plain = model.replace(expression_directions=np.zeros((model.vertex_count, 3, 0)))
     # Six components do not reach every fist, and what the pose cannot say the template would.
     hands: HandPose = "flat" if options.hands == "flat" else "full"
-    fitter = FrameFitter(
-        plain, replace(options, hands=hands), shape_count=min(options.shape_count, plain.shape_count)
-    )
-    aligned: list[_Aligned] = []
+    options = replace(options, hands=hands, shape_count=min(options.shape_count, plain.shape_count))
+    fitter = FrameFitter(plain, options, shape_count=options.shape_count)
     rejected: dict[str, str] = {}
-    vector = _started(fitter, start)
-    for name, scan in islice(frames, options.template_frames):
-        if on_step is not None:
-            on_step(name)
+    usable = _usable(islice(frames, options.template_frames), options, rejected)
+    followed = _followed(fitter, usable, _started(fitter, start), rejected, tell)
+    fitted = [FittedFrame(one.name, one.frame.points, one.parameters) for one in followed]
+    shifts = subject_joint_shifts(plain, fitted) if options.place_joints else None
+    if shifts is not None:
+        fitter = FrameFitter(with_shifted_joints(plain, shifts), options, shape_count=options.shape_count)
+        followed = _followed_back(fitter, followed, rejected, tell)
+    template, kept = _averaged(fitter, followed, rejected)
+    joints = None if shifts is None else fitter.model.joint_regressor @ template
+    # Also where the first is badly unposed: it is where the second stage starts.
+    first = followed[0].parameters
+    return SubjectTemplate(
+        personal_model(model, template, joints), first.shape, tuple(one.name for one in kept), rejected,
+        first.pose, first.translation, shifts,
+    )  # fmt: skip
+
+
+def _usable(
+    frames: Iterable[tuple[str, Scan | None]], options: TrackingOptions, rejected: dict[str, str]
+) -> Iterable[_Frame]:
+    for name, scan in frames:
         if scan is None or len(scan.points) < options.bounds.fewest_points:
             rejected[name] = "no scan, or too few points"
-            continue
-        found, reason = _aligned(fitter, scan, name, vector, [one.parameters.shape for one in aligned])
-        if found is None:
-            rejected[name] = reason
-            continue
-        vector = found.parameters.vector()
-        aligned.append(found)
-    return _averaged(model, aligned, rejected)
+        else:
+            yield _Frame(name, frame_points(scan, options), scan_surface(scan))
 
 
-def _started(fitter: FrameFitter, start: ModelParameters) -> Float[np.ndarray, " Q"]:
+def _started(fitter: FrameFitter, start: ModelParameters) -> FrameStart:
     shape = np.zeros(fitter.fields.shape_count)
     given = start.shape[: len(shape)]
     shape[: len(given)] = given
-    return ModelParameters(start.translation, start.pose, shape).vector()
+    return FrameStart(ModelParameters(start.translation, start.pose, shape).vector(), first=True)
 
 
-def _aligned(
-    fitter: FrameFitter, scan: Scan, name: str, vector: Float[np.ndarray, " Q"], shapes: list[np.ndarray]
-) -> tuple[_Aligned | None, str]:
-    """One frame fitted, its free vertices unposed; or why not."""
-    options, first = fitter.options, not shapes
-    points = frame_points(scan, options)
-    back = scan_surface(scan)
-    if first:
-        begin = FrameStart(vector, first=True, back=back)
-    else:
-        previous = fitter.fields.parameters(vector).pose
-        begin = FrameStart(vector, previous, back=back, shape=np.mean(shapes, axis=0), shapes=len(shapes))
-    solution = fitter.fit(points, begin, options.first if first else options.annealing)
+def _followed(
+    fitter: FrameFitter, frames: Iterable[_Frame], begin: FrameStart, rejected: dict[str, str],
+    tell: Callable[[str], None],
+) -> list[_Followed]:  # fmt: skip
+    """The frames fitted one after the other, each held to the mean shape of those before it."""
+    followed: list[_Followed] = []
+    shapes = begin.shapes
+    mean = np.zeros(fitter.fields.shape_count) if begin.shape is None else begin.shape
+    for frame in frames:
+        tell(frame.name)
+        parameters, reason = _fitted(fitter, frame, begin)
+        if parameters is None:
+            rejected[frame.name] = reason
+            continue
+        followed.append(_Followed(frame, parameters))
+        shapes, mean = shapes + 1, (shapes * mean + parameters.shape) / (shapes + 1)
+        begin = FrameStart(parameters.vector(), parameters.pose, shape=mean, shapes=shapes)
+    return followed
+
+
+def _followed_back(
+    fitter: FrameFitter, forth: Sequence[_Followed], rejected: dict[str, str], tell: Callable[[str], None]
+) -> list[_Followed]:
+    """The frames once more, from the last to the first; they are given from the first to the last."""
+    chosen = np.unique(np.linspace(0, len(forth) - 1, _FOR_SHAPE).astype(int))
+    # Frames of all poses tell the shape first: which one comes first would decide it otherwise.
+    shapes = []
+    for one in (forth[index] for index in chosen):
+        found, _ = _fitted(
+            fitter, one.frame, FrameStart(one.parameters.vector(), one.parameters.pose, first=True)
+        )
+        shapes += [] if found is None else [found.shape]
+    last = forth[-1].parameters
+    begin = FrameStart(
+        last.vector(),
+        last.pose,
+        first=True,
+        shape=np.mean(shapes, axis=0) if shapes else None,
+        shapes=len(shapes),
+    )
+    return _followed(fitter, [one.frame for one in reversed(forth)], begin, rejected, tell)[::-1]
+
+
+def _again(parameters: ModelParameters) -> FrameStart:
+    """A start after joints have moved: as in the first frame, a pose but of fingers is known roughly."""
+    return FrameStart(parameters.vector(), parameters.pose, first=True)
+
+
+def _fitted(fitter: FrameFitter, frame: _Frame, begin: FrameStart) -> tuple[ModelParameters | None, str]:
+    """One frame's parameters; or why there are none."""
+    options = fitter.options
+    steps = options.first if begin.first else options.annealing
+    solution = fitter.fit(frame.points, replace(begin, back=frame.back), steps)
     if not solution.outcome.usable:
         return None, f"the fit {solution.outcome.value}"
-    measures = fitter.measured(points, solution.state.parameters)
-    status, reason = judged(measures, options.bounds)
-    if status == "failed":
-        return None, reason
-    parameters = fitter.fields.parameters(solution.state.parameters)
-    posed = fitter.fields.evaluated(solution.state.parameters).vertices
-    try:
-        free = fitter.freed(points, posed, options.template_free)
-    except ArithmeticError as error:
-        return None, f"free vertices: {error}"
-    return _Aligned(name, unposed(fitter.model, free, parameters), parameters), ""
+    vector = solution.state.parameters
+    status, reason = judged(fitter.measured(frame.points, vector), options.bounds)
+    return (None, reason) if status == "failed" else (fitter.fields.parameters(vector), "")
 
 
-def _averaged(model: SurfaceModel, aligned: list[_Aligned], rejected: dict[str, str]) -> SubjectTemplate:
-    if not aligned:
+def _unposed(fitter: FrameFitter, one: _Followed) -> Float[np.ndarray, "V 3"]:
+    """The template that a frame's free vertices speak for.
+
+    Raises:
+        ArithmeticError: they are not determined.
+    """
+    posed = fitter.fields.evaluated(one.parameters.vector()).vertices
+    free = fitter.freed(one.frame.points, posed, fitter.options.template_free)
+    return unposed(fitter.model, free, one.parameters)
+
+
+def _averaged(
+    fitter: FrameFitter, followed: Sequence[_Followed], rejected: dict[str, str]
+) -> tuple[Float[np.ndarray, "V 3"], list[_Followed]]:
+    """The mean of the frames' templates, and the frames that are in it."""
+    kept, found = [], []
+    for one in followed:
+        try:
+            found.append(_unposed(fitter, one))
+            kept.append(one)
+        except ArithmeticError as error:
+            rejected[one.name] = f"free vertices: {error}"
+    if not kept:
         raise TemplateError(f"no frame could be used for the subject's template: {rejected}")
-    templates = np.array([one.template for one in aligned])
+    templates = np.array(found)
     median = np.median(templates, axis=0)
     spread = np.percentile(np.linalg.norm(templates - median, axis=2), 95, axis=1)
     good = spread <= _UNPOSED_P95
     for index in np.flatnonzero(~good):
-        rejected[aligned[index].name] = (
+        rejected[kept[index].name] = (
             f"badly unposed: a twentieth of the vertices is over {1e3 * spread[index]:.1f} mm from the median"
         )
     if not good.any():
         raise TemplateError("every frame was badly unposed; is the motion at the start too fast?")
-    first = aligned[0].parameters
-    used = tuple(one.name for one, kept in zip(aligned, good, strict=True) if kept)
-    personal = personal_model(model, templates[good].mean(axis=0))
-    return SubjectTemplate(personal, first.shape, used, rejected, first.pose, first.translation)
+    return templates[good].mean(axis=0), [kept[index] for index in np.flatnonzero(good)]

@@ -107,6 +107,7 @@ class TrackingOptions:
         frame_free: those of a tracked frame (equation 23), which follow the scan farther: bent skin may lie
             3 cm from the model. Of one sequence scans lie 1.1 mm from them, and 2.6 with the numbers of the
             first stage.
+        find_fingers: fingers that have lost their scan are looked for among recorded poses.
         predict: True starts a frame where the body's motion leads, False at the last frame as the paper does.
         samples: points drawn on a scan.
         body_points: of those, how many off the hands are fitted to; on the hands all are.
@@ -114,6 +115,8 @@ class TrackingOptions:
         hand_back: weight of distances back from hands to the scan, as a share of the data's.
         minimum_cosine: pairs whose normals disagree more are not matched.
         template_frames: of the first stage, at most.
+        place_joints: a body's joints are placed in the subject's skin by the frames of the first stage, which
+            are then gone through once more.
         shape_count: shape numbers of the first stage, at most those that the model has.
         bounds: of the verdict.
         seed: of the points drawn.
@@ -132,6 +135,7 @@ class TrackingOptions:
     free_vertices: bool = True
     template_free: FreeStage = FreeStage(coupling=2e3, robust_scale=0.02, passes=6)
     frame_free: FreeStage = FreeStage(coupling=5e3, robust_scale=0.03, passes=6)
+    find_fingers: bool = True
     predict: bool = True
     samples: int = 16_000
     body_points: int = 5_000
@@ -139,6 +143,7 @@ class TrackingOptions:
     hand_back: float = 1.5
     minimum_cosine: float = 0.3
     template_frames: int = 50
+    place_joints: bool = True
     shape_count: int = 25
     bounds: TrackingBounds = field(default_factory=TrackingBounds)
     seed: int = 0

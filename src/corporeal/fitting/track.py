@@ -179,6 +179,24 @@ class Tracker:
                 vector, measures = again, other
                 if other is not None and other.stray <= options.bounds.stray_share:
                     break
+        return self._with_fingers(points, vector, measures, back)
+
+    def _with_fingers(
+        self, points: FramePoints, vector: np.ndarray, measures: FrameMeasures | None,
+        back: ScanSurface | None,
+    ) -> tuple[np.ndarray, FrameMeasures | None]:  # fmt: skip
+        """A frame's parameters with fingers that had lost their scan found again, where they are."""
+        if measures is None or back is None or not self.options.find_fingers:
+            return vector, measures
+        fields, steps = self._fitter.fields, self.options.annealing[-1:]
+        for lost in self._fitter.lost_fingers(points, vector, back):
+            begin = lost.sought(fields, vector, back)
+            if begin is None:
+                continue
+            start = FrameStart(begin, fields.parameters(begin).pose, back=back)
+            again, other = self._tried(points, start, steps)
+            if other is not None and lost.found(fields.evaluated(again).vertices, back):
+                vector, measures = again, other
         return vector, measures
 
     def _elsewhere(

@@ -19,9 +19,9 @@ from corporeal.learning import skinning_kernels as kernels
 from corporeal.learning.hinges import HingePrior
 from corporeal.learning.objective import Priors
 from corporeal.learning.poses import add_joint_blocks
-from corporeal.learning.rigging import joints_below
 from corporeal.learning.state import LearningState, Registrations
 from corporeal.learning.templates import block_diagonal
+from corporeal.model.joint_regressor import joints_below
 
 # Observations per vertex that hold the template: with learning's own 0.5 joints are drawn 1 mm towards the
 # start model's.

@@ -11,7 +11,8 @@ from corporeal.geometry.rotations_numeric import axis_angle_from_matrix
 from corporeal.learning.options import LearningOptions
 from corporeal.learning.shape_space import learned_block, principal_components, shape_directions
 from corporeal.learning.state import LearningState
-from corporeal.model.surface_model import CutPlane, SurfaceModel
+from corporeal.model.joint_regressor import same_cut
+from corporeal.model.surface_model import SurfaceModel
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,11 +59,3 @@ def assembled(state: LearningState, start: SurfaceModel, options: LearningOption
     count = len(state.rotations)
     poses = axis_angle_from_matrix(state.rotations.reshape(-1, 3, 3)).reshape(count, K, 3)
     return Assembly(model, shift, poses, shapes.variances, variances)
-
-
-def same_cut(start: SurfaceModel, joints: Float[np.ndarray, "K 3"]) -> CutPlane | None:
-    """The same plane of the surface, seen from a joint that may have moved."""
-    if start.cut is None:
-        return None
-    before = (start.joint_regressor @ start.template)[start.cut.joint]
-    return CutPlane(start.cut.joint, start.cut.point + before - joints[start.cut.joint], start.cut.normal)

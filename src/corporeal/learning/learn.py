@@ -16,7 +16,6 @@ from corporeal.learning.bone_motions import first_joints
 from corporeal.learning.correctives import Preconditioner, fit_correctives
 from corporeal.learning.hinges import hinge_prior
 from corporeal.learning.joint_distances import geodesic_joint_distances
-from corporeal.learning.joint_regressor import fit_regressor
 from corporeal.learning.learned import LearnedModel, StepLog
 from corporeal.learning.objective import Priors, objective
 from corporeal.learning.options import LearningOptions
@@ -26,6 +25,7 @@ from corporeal.learning.state import LearningState, Registrations
 from corporeal.learning.templates import fit_joints, fit_templates, joint_strengths
 from corporeal.learning.training_set import LearningError, TrainingSet
 from corporeal.learning.weights import fit_weights, weight_candidates
+from corporeal.model.joint_regressor import fit_regressor
 from corporeal.model.surface_model import SurfaceModel
 from corporeal.solve.blas_threads import single_threaded_blas
 

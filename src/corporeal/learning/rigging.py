@@ -29,14 +29,6 @@ _LARGEST_SHARE = 0.25
 _MISS = 1e-6
 
 
-def joints_below(parents: Int[np.ndarray, " K"]) -> Float[np.ndarray, "K K"]:
-    """1 where the row's joint is the column's or hangs below it: weights @ this is what a joint carries."""
-    below = np.eye(len(parents))
-    for joint in range(len(parents) - 1, 0, -1):
-        below[:, parents[joint]] += below[:, joint]
-    return below
-
-
 def bone_weights(
     template: Float[np.ndarray, "V 3"],
     faces: Int[np.ndarray, "F 3"],

@@ -1,4 +1,4 @@
-"""The step that learns the joint regressor: non-negative, sparse, rows that sum to one."""
+"""Joints of a surface: regressors, non-negative and sparse, rows that sum to one; what hangs below."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float, Int
 from scipy.optimize import nnls
+
+from corporeal.model.surface_model import CutPlane, SurfaceModel
 
 # Vertices farther from a joint than this, in its mean distance to the nearest tenth of the candidates, are no
 # candidates.
@@ -21,34 +23,46 @@ _HOLD = 0.01
 # A vertex that bears less of its joint than this part of what the foremost bears is left out, and the others
 # are solved for again.
 _LEAST = 0.02
+# Square metres: rows that miss their joints by less, by rounding, stay.
+_EXACT = 1e-18
 
 
 def fit_regressor(
     templates: Float[np.ndarray, "H V 3"],
     joints: Float[np.ndarray, "H K 3"],
     old: sp.csr_matrix,
+    most: int | None = None,
 ) -> sp.csr_matrix:
-    """Rows that give every hand's joints from its template, by non-negative least squares.
+    """Rows that give every subject's joints from its template, by non-negative least squares.
 
     A row replaces the old one only where it gives the joints better.
+
+    Args:
+        templates: of every subject, metres.
+        joints: of every subject, metres.
+        old: rows of before.
+        most: candidates for a row beside those of the old one, evenly from all; None for all. Deep in a body
+            they are thousands, and solving for them takes seconds.
     """
     rows = []
     for joint in range(joints.shape[1]):
         before = old[joint].toarray()[0]
-        row = _row(templates, joints[:, joint], before)
-        rows.append(
-            row
-            if _miss(templates, joints[:, joint], row) < _miss(templates, joints[:, joint], before)
-            else before
-        )
+        missed = _miss(templates, joints[:, joint], before)
+        row = before if missed < _EXACT else _row(templates, joints[:, joint], before, most)
+        rows.append(row if _miss(templates, joints[:, joint], row) < missed else before)
     return sp.csr_matrix(np.array(rows))
 
 
 def _row(
-    templates: Float[np.ndarray, "H V 3"], joints: Float[np.ndarray, "H 3"], before: Float[np.ndarray, " V"]
-) -> Float[np.ndarray, " V"]:
+    templates: Float[np.ndarray, "H V 3"], joints: Float[np.ndarray, "H 3"], before: Float[np.ndarray, " V"],
+    most: int | None,
+) -> Float[np.ndarray, " V"]:  # fmt: skip
     """A joint's row, without vertices that bear next to nothing of it."""
     used = _candidates(templates.mean(axis=0), joints.mean(axis=0), before)
+    if most is not None:
+        others = used[before[used] == 0]
+        even = np.linspace(0, len(others) - 1, min(most, len(others))).astype(int)
+        used = np.union1d(used[before[used] > 0], others[even])
     shares = _shares(templates[:, used], joints, before[used])
     while (kept := shares >= _LEAST * shares.max()).sum() < len(used):
         used = used[kept]
@@ -84,3 +98,24 @@ def _miss(
     templates: Float[np.ndarray, "H V 3"], joints: Float[np.ndarray, "H 3"], row: Float[np.ndarray, " V"]
 ) -> float:
     return float(np.square(np.einsum("v,hva->ha", row, templates) - joints).sum())
+
+
+def joints_below(parents: Int[np.ndarray, " K"]) -> Float[np.ndarray, "K K"]:
+    """1 where the row's joint is the column's or hangs below it: weights @ this is what a joint carries."""
+    below = np.eye(len(parents))
+    for joint in range(len(parents) - 1, 0, -1):
+        below[:, parents[joint]] += below[:, joint]
+    return below
+
+
+def same_cut(start: SurfaceModel, joints: Float[np.ndarray, "K 3"]) -> CutPlane | None:
+    """The same plane of the surface, seen from a joint that may have moved."""
+    if start.cut is None:
+        return None
+    before = (start.joint_regressor @ start.template)[start.cut.joint]
+    return CutPlane(start.cut.joint, start.cut.point + before - joints[start.cut.joint], start.cut.normal)
+
+
+def with_regressor(model: SurfaceModel, regressor: sp.csr_matrix) -> SurfaceModel:
+    """The model with other joints; it ends at the same plane of its surface."""
+    return model.replace(joint_regressor=regressor, cut=same_cut(model, regressor @ model.template))

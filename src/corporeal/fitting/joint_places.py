@@ -1,10 +1,11 @@
-"""Where a start model's joints belong, told by scans: registrations cannot tell it afterwards.
+"""Where a model's joints belong, told by scans: surfaces laid onto these cannot tell it afterwards.
 
-Where a joint of the registering model lies elsewhere in its skin than a person's, the free vertices of a
-registration slide until the joint turns where the person's does, in every scan alike, and a model learned
-from them keeps the joint where it was. The rigged surface without free vertices cannot slide: it misses scans
-of bent joints instead. Here all poses, the shapes and one shift per joint, common to all hands, are solved
-for together, so that it misses them least.
+Where a joint of a model lies elsewhere in its skin than a person's, whatever may slide does so until the
+joint turns where the person's does, in every scan alike: the free vertices of a registration, so that a model
+learned from them keeps the joint where it was, and the shape of a tracked body. The rigged surface cannot:
+it misses scans of bent joints instead. Here all poses, the shapes and one shift per joint, common to all
+subjects, are solved for together, so that it misses them least. Joints of a body that is its own mirror image
+stay each other's mirror images.
 """
 
 from __future__ import annotations
@@ -15,15 +16,12 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from corporeal.geometry.closest_points import SurfaceTree
-from corporeal.geometry.normals import face_normals
-from corporeal.learning.assembly import same_cut
-from corporeal.learning.joint_regressor import fit_regressor
-from corporeal.learning.rigging import joints_below
-from corporeal.learning.training_set import LearningError
+from corporeal.geometry.normals import vertex_normals
 from corporeal.model.jacobian import Linearised, linearise
+from corporeal.model.joint_regressor import fit_regressor, joints_below, with_regressor
 from corporeal.model.surface_model import SurfaceModel
 
 _FEWEST_POINTS = 100
@@ -31,10 +29,14 @@ _FEWEST_POINTS = 100
 _DRAWN_SHAPES = 40
 # What holds a scan's translation, root and joints to where they are in one step, square metres.
 _STILL = (1e-9, 1e-9, 4e-6)
-# Square metres that one standard deviation of shape costs a hand.
+# Square metres that one standard deviation of shape costs a subject.
 _SHAPE_COST = 1e-6
 # Radians: longer steps of an angle are cut to this.
 _LONGEST_TURN = 0.3
+
+
+class JointPlaceError(ValueError):
+    """Joints cannot be placed by these scans; the message says why."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,7 @@ class JointPlaceOptions:
         robust_distance: from here on a point counts less, metres.
         steps: most Gauss-Newton steps.
         settled: a step that moves no joint by more is the last, metres.
+        fixed: names of joints that stay, as the root does.
     """
 
     strength: float = 0.1
@@ -56,6 +59,7 @@ class JointPlaceOptions:
     robust_distance: float = 2e-3
     steps: int = 12
     settled: float = 1e-4
+    fixed: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +68,7 @@ class PosedScan:
 
     Attributes:
         name: of the scan.
-        hand: whose surface it is: one shape each.
+        subject: whose surface it is: one shape each.
         points: (N, 3) metres.
         pose: (K, 3) axis-angle, radians, where the search begins.
         shape: (S,) the same.
@@ -72,7 +76,7 @@ class PosedScan:
     """
 
     name: str
-    hand: str
+    subject: str
     points: Float[np.ndarray, "N 3"]
     pose: Float[np.ndarray, "K 3"]
     shape: Float[np.ndarray, " S"]
@@ -92,6 +96,13 @@ class PlacedJoints:
     model: SurfaceModel
     shifts: Float[np.ndarray, "K 3"]
     rms_mm: tuple[float, ...]
+
+
+class _Surface(NamedTuple):
+    """What is made once: the tree of the surface, and what every joint carries of it."""
+
+    tree: SurfaceTree
+    carried: Float[np.ndarray, "V K"]
 
 
 class _Equations(NamedTuple):
@@ -114,34 +125,51 @@ def place_joints(
 ) -> PlacedJoints:
     """Move the joints of a model to where its posed surfaces, without free vertices, miss scans least.
 
-    The root stays: where it lies nothing in a scan of the model's own parts tells.
-
     Args:
         model: whose joints are in question; it knows shapes and pose correctives well enough to lie within
             millimetres of the scans.
-        scans: of several hands in bent poses, with poses and shapes that fit roughly.
+        scans: in bent poses, with poses and shapes that fit roughly.
         options: how.
         on_step: told after every step its number and the rms in millimetres before it.
 
     Raises:
-        LearningError: no scan, a shape or pose that does not fit the model, or a scan that the posed model
+        JointPlaceError: as ``joint_shifts``.
+    """
+    shifts, rms = joint_shifts(model, scans, options, on_step)
+    return PlacedJoints(_regressed(model, shifts), shifts, rms)
+
+
+def joint_shifts(
+    model: SurfaceModel,
+    scans: Sequence[PosedScan],
+    options: JointPlaceOptions | None = None,
+    on_step: Callable[[int, float], None] | None = None,
+) -> tuple[Float[np.ndarray, "K 3"], tuple[float, ...]]:
+    """How far the joints of a model's template belong elsewhere, metres, and the rms before every step, mm.
+
+    The root stays: where it lies nothing in a scan of the model's own parts tells. Arguments are those of
+    ``place_joints``.
+
+    Raises:
+        JointPlaceError: no scan, a shape or pose that does not fit the model, or a scan that the posed model
             does not lie on; the message names it.
     """
     options = options or JointPlaceOptions()
     _check(model, scans)
     scans, shifts, rms = _of_one_shape(scans), np.zeros((model.joint_count, 3)), []
-    tree = SurfaceTree(model.template, model.faces)
+    surface = _Surface(SurfaceTree(model.template, model.faces), carried_by(model))
+    free = _free_shifts(model, options.fixed)
     for step in range(options.steps):
         moved = with_shifted_joints(model, shifts)
-        found = [_equations(moved, tree, scan, options) for scan in scans]
+        found = [_equations(moved, surface, scan, options) for scan in scans]
         rms.append(1e3 * float(np.sqrt(sum(e.squares for e in found) / sum(e.weight for e in found))))
-        scans, change = _stepped(scans, found, shifts, options.strength)
+        scans, change = _stepped(scans, found, shifts, free, options.strength)
         shifts = shifts + change
         if on_step is not None:
             on_step(step + 1, rms[-1])
         if np.linalg.norm(change, axis=1).max() < options.settled:
             break
-    return PlacedJoints(_regressed(model, shifts), shifts, tuple(rms))
+    return shifts, tuple(rms)
 
 
 def with_shifted_joints(model: SurfaceModel, shifts: Float[np.ndarray, "K 3"]) -> SurfaceModel:
@@ -156,27 +184,51 @@ def with_shifted_joints(model: SurfaceModel, shifts: Float[np.ndarray, "K 3"]) -
     affine = np.vstack([model.template.T, np.ones(model.vertex_count)])
     wanted = np.vstack([shifts.T, np.zeros(len(shifts))])
     rows = (affine.T @ np.linalg.solve(affine @ affine.T, wanted)).T
-    return _with_regressor(model, sp.csr_matrix(model.joint_regressor.toarray() + rows))
+    return with_regressor(model, sp.csr_matrix(model.joint_regressor.toarray() + rows))
 
 
-def shift_jacobian(model: SurfaceModel, posed: Linearised) -> Float[np.ndarray, "V K 3 3"]:
-    """Derivative of every posed vertex by the place of every joint of the unposed hand; zero for the root.
+def carried_by(model: SurfaceModel) -> Float[np.ndarray, "V K"]:
+    """How much of every vertex goes along with every joint: its weights on the joint and all below."""
+    return np.asarray(model.skinning_weights @ joints_below(model.parents))
 
-    What lies below a joint k is carried by its shift turned by R_parent - R_k, in world rotations.
+
+def shift_slopes(
+    posed: Linearised, parents: Int[np.ndarray, " K"], carried: Float[np.ndarray, "n K"],
+    directions: Float[np.ndarray, "n 3"],
+) -> Float[np.ndarray, "n K 3"]:  # fmt: skip
+    """How far points of a posed surface go along directions, by the place of every joint of the unposed one.
+
+    What lies below a joint k is carried by its shift turned by R_parent - R_k, in world rotations; the root's
+    is zero.
     """
-    carried = np.asarray(model.skinning_weights @ joints_below(model.parents))
     R = posed.T_world_joint[:, :3, :3]
-    turns = R[model.parents] - R
+    turns = R[parents] - R
     turns[0] = 0
-    return np.einsum("vk,kab->vkab", carried, turns)
+    return carried[:, :, None] * np.einsum("na,kab->nkb", directions, turns)
+
+
+def _free_shifts(model: SurfaceModel, fixed: Sequence[str]) -> Float[np.ndarray, "m n"]:
+    """Orthonormal shifts of all joints that may move; of a body that is its own mirror image, even ones."""
+    mirror = np.arange(model.joint_count) if model.mirror_joints is None else model.mirror_joints
+    shifts = []
+    for joint, other in enumerate(mirror):
+        if joint == 0 or other < joint or model.joint_names[joint] in fixed:
+            continue
+        for axis in range(3):
+            shift = np.zeros((model.joint_count, 3))
+            shift[other, axis] += 1.0 if axis or model.mirror_joints is None else -1.0
+            shift[joint, axis] += 1.0
+            if shift.any():
+                shifts.append(shift.ravel() / np.linalg.norm(shift))
+    return np.array(shifts)
 
 
 def _check(model: SurfaceModel, scans: Sequence[PosedScan]) -> None:
     if not scans:
-        raise LearningError("scans: none was given; joints are placed by scans of bent hands")
+        raise JointPlaceError("scans: none was given; joints are placed by scans of bent ones")
     for scan in scans:
         if scan.pose.shape != (model.joint_count, 3) or not 0 < len(scan.shape) <= model.shape_count:
-            raise LearningError(
+            raise JointPlaceError(
                 f"{scan.name}: {len(scan.pose)} joints and {len(scan.shape)} shape numbers, but "
                 f"{model.name!r} has {model.joint_count} and {model.shape_count}; give the model that it was "
                 "registered with"
@@ -184,21 +236,21 @@ def _check(model: SurfaceModel, scans: Sequence[PosedScan]) -> None:
 
 
 def _of_one_shape(scans: Sequence[PosedScan]) -> list[PosedScan]:
-    """The scans with the mean shape of their hand."""
+    """The scans with the mean shape of their subject."""
     shapes = {
-        hand: np.mean([scan.shape for scan in scans if scan.hand == hand], axis=0)
-        for hand in {scan.hand for scan in scans}
+        subject: np.mean([scan.shape for scan in scans if scan.subject == subject], axis=0)
+        for subject in {scan.subject for scan in scans}
     }
-    return [replace(scan, shape=shapes[scan.hand]) for scan in scans]
+    return [replace(scan, shape=shapes[scan.subject]) for scan in scans]
 
 
 def _equations(
-    model: SurfaceModel, tree: SurfaceTree, scan: PosedScan, options: JointPlaceOptions
+    model: SurfaceModel, surface: _Surface, scan: PosedScan, options: JointPlaceOptions
 ) -> _Equations:
     """Point-to-plane distances of a scan's points, linearised; the tree is moved to the posed surface."""
     posed = linearise(model, scan.shape, scan.pose, scan.translation)
-    tree.refit(posed.vertices)
-    closest = tree.closest(scan.points)
+    surface.tree.refit(posed.vertices)
+    closest = surface.tree.closest(scan.points)
     corners = model.faces[closest.faces]
     kept = closest.distances < options.reach
     if model.cut is not None:
@@ -206,17 +258,18 @@ def _equations(
         plane = np.asarray(model.joint_regressor[model.cut.joint] @ model.template) + model.cut.point
         kept &= (at_rest - plane) @ model.cut.normal > 0
     if kept.sum() < _FEWEST_POINTS:
-        raise LearningError(
+        raise JointPlaceError(
             f"{scan.name}: {kept.sum()} of its points are within {1e3 * options.reach:g} mm of the posed "
             f"model, {_FEWEST_POINTS} are needed; leave it out, or register it again"
         )
     corners, shares = corners[kept], closest.barycentric[kept]
-    normals = face_normals(posed.vertices, model.faces)[closest.faces[kept]]
+    # Of vertices, not of faces: nearest to an edge, rounding would decide between two.
+    normals = np.einsum("pi,pia->pa", shares, vertex_normals(posed.vertices, model.faces)[corners])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     off = np.einsum("pa,pa->p", normals, scan.points[kept] - closest.points[kept])
     by_model = np.einsum("pi,piaq,pa->pq", shares, posed.vertex_jacobian[corners], normals, optimize=True)
-    by_shifts = np.einsum(
-        "pi,pikab,pa->pkb", shares, shift_jacobian(model, posed)[corners], normals, optimize=True
-    )
+    carried = np.einsum("pi,pik->pk", shares, surface.carried[corners])
+    by_shifts = shift_slopes(posed, model.parents, carried, normals)
     own, columns = 3 + scan.pose.size, posed.columns
     common = np.concatenate([by_model[:, columns.shape], by_shifts.reshape(len(off), -1)], axis=1)
     weights = options.robust_distance**2 / (options.robust_distance**2 + off**2)
@@ -229,31 +282,31 @@ def _equations(
 
 
 def _stepped(
-    scans: Sequence[PosedScan], found: Sequence[_Equations], shifts: Float[np.ndarray, "K 3"], strength: float
-) -> tuple[list[PosedScan], Float[np.ndarray, "K 3"]]:
-    """One Gauss-Newton step: every scan's own unknowns are eliminated, then every hand's shape."""
+    scans: Sequence[PosedScan], found: Sequence[_Equations], shifts: Float[np.ndarray, "K 3"],
+    free: Float[np.ndarray, "m n"], strength: float,
+) -> tuple[list[PosedScan], Float[np.ndarray, "K 3"]]:  # fmt: skip
+    """One Gauss-Newton step: every scan's own unknowns are eliminated, then every subject's shape."""
     numbers, joints = len(scans[0].shape), scans[0].pose.size
     still = np.repeat(_STILL, [3, 3, joints - 3])
     solved = [np.linalg.solve(e.own + np.diag(still), np.column_stack([e.mixed, e.own_pull])) for e in found]
     price = strength * len(scans)
-    # The root's rows are zero but for this price: it stays.
     matrix, pull = price * np.eye(joints), -price * shifts.ravel()
-    by_hand: dict[str, np.ndarray] = {}
-    for hand in dict.fromkeys(scan.hand for scan in scans):
+    by_subject: dict[str, np.ndarray] = {}
+    for subject in dict.fromkeys(scan.subject for scan in scans):
         reduced = np.zeros((numbers + joints, numbers + joints + 1))
         for scan, e, own in zip(scans, found, solved, strict=True):
-            if scan.hand == hand:
+            if scan.subject == subject:
                 reduced += np.column_stack([e.shared, e.shared_pull]) - e.mixed.T @ own
                 shape = scan.shape
         reduced[:numbers, :numbers] += _SHAPE_COST * np.eye(numbers)
         reduced[:numbers, -1] -= _SHAPE_COST * shape
-        by_hand[hand] = np.linalg.solve(reduced[:numbers, :numbers], reduced[:numbers, numbers:])
-        rest = reduced[numbers:, numbers:] - reduced[numbers:, :numbers] @ by_hand[hand]
+        by_subject[subject] = np.linalg.solve(reduced[:numbers, :numbers], reduced[:numbers, numbers:])
+        rest = reduced[numbers:, numbers:] - reduced[numbers:, :numbers] @ by_subject[subject]
         matrix, pull = matrix + rest[:, :-1], pull + rest[:, -1]
-    change = np.linalg.solve(matrix, pull)
+    change = free.T @ np.linalg.solve(free @ matrix @ free.T, free @ pull)
     after = []
     for scan, own in zip(scans, solved, strict=True):
-        shape_step = by_hand[scan.hand] @ np.append(-change, 1.0)
+        shape_step = by_subject[scan.subject] @ np.append(-change, 1.0)
         step = own @ np.concatenate([-shape_step, -change, [1.0]])
         after.append(
             replace(
@@ -273,9 +326,4 @@ def _regressed(model: SurfaceModel, shifts: Float[np.ndarray, "K 3"]) -> Surface
     surfaces = model.template + np.einsum("vas,hs->hva", model.shape_directions, shapes)
     wanted = with_shifted_joints(model, shifts).joint_regressor.toarray()
     joints = np.einsum("kv,hva->hka", wanted, surfaces)
-    return _with_regressor(model, fit_regressor(surfaces, joints, model.joint_regressor))
-
-
-def _with_regressor(model: SurfaceModel, regressor: sp.csr_matrix) -> SurfaceModel:
-    """The model with other joints; it ends at the same plane of its surface."""
-    return model.replace(joint_regressor=regressor, cut=same_cut(model, regressor @ model.template))
+    return with_regressor(model, fit_regressor(surfaces, joints, model.joint_regressor))

@@ -1,0 +1,159 @@
+"""Arms and fingers that were lost for a while: once they are found again, their poses before are mended.
+
+While an arm is missing a tracker can but hold it against what it hangs on, and of fingers that it finds in
+another pose it does not know since when they had it. Of a sequence more is known: where the arm was and where
+it came back, and that no finger gets anywhere at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation, Slerp
+
+from corporeal.fitting.frame_data import forearm_of, joints_above
+from corporeal.fitting.pose_terms import is_hand
+from corporeal.model.surface_model import SurfaceModel
+
+# A part of which no more than this share is confirmed by scan may be missing; one of which nothing is, is.
+_HARDLY, _NOTHING = 0.15, 0.02
+# Frames: over a longer time a straight way means nothing.
+_LONGEST = 60
+# Degrees per second: no finger turns faster. Recorded ones reach 700.
+_FASTEST = 900.0
+
+
+@dataclass(frozen=True, eq=False)
+class SeenPose:
+    """What of a tracked frame tells of gaps.
+
+    Attributes:
+        pose: (K, 3) as it was tracked, axis-angle in radians.
+        signals: of the frame: "left_hand_seen", "left_forearm_seen" and so on are shares that the scan
+            confirms.
+        tracked: whether the frame did not fail; one that did keeps its pose.
+    """
+
+    pose: Float[np.ndarray, "K 3"]
+    signals: Mapping[str, float]
+    tracked: bool
+
+
+@dataclass(frozen=True, eq=False)
+class BridgedPose:
+    """The pose of a frame after bridging.
+
+    Attributes:
+        pose: (K, 3) axis-angle, radians.
+        hands: that lie in a gap, such as "left_hand".
+        led: hands with fingers on their way to where they are found later.
+    """
+
+    pose: Float[np.ndarray, "K 3"]
+    hands: tuple[str, ...]
+    led: tuple[str, ...]
+
+
+def bridged(model: SurfaceModel, frames: Sequence[SeenPose], fps: float) -> list[BridgedPose]:
+    """The poses of a sequence, those of arms that were out of sight laid between those before and after.
+
+    Of a hand alone, wrist and fingers; where the forearm is missing too, the elbow and the turn of the upper
+    arm about itself. Joints go the shortest way at a steady rate. An arm that never comes back, or not within
+    60 frames, stays as it was tracked. Fingers that turn faster than 900 degrees per second set out earlier.
+    All else stays.
+
+    Args:
+        model: what was tracked; gaps are bridged of bodies alone.
+        frames: in their order.
+        fps: frames per second.
+    """
+    poses = np.array([frame.pose for frame in frames])
+    hands: list[list[str]] = [[] for _ in frames]
+    for block in model.pose_blocks:
+        above = joints_above(model, block) if is_hand(block) else ()
+        if len(above) < 3 or not frames:
+            continue
+        wrist, elbow, shoulder = above[:3]
+        seen = _shares(frames, block.name)
+        for first, after in _gaps(seen):
+            _bridge(poses, first, after, (wrist, *block.joints))
+            for names in hands[first:after]:
+                names.append(block.name)
+        for first, after in _gaps(np.maximum(seen, _shares(frames, forearm_of(block.name)))):
+            _bridge(poses, first, after, (elbow,))
+            _bridge_twist(poses[first - 1 : after + 1, shoulder], _bone(model, shoulder, elbow))
+    for number, frame in enumerate(frames):
+        if not frame.tracked:
+            poses[number], hands[number] = frame.pose, []
+    led = {
+        block.name: _led(poses, list(block.joints), np.deg2rad(_FASTEST) / fps)
+        for block in model.pose_blocks
+        if is_hand(block)
+    }
+    return [
+        BridgedPose(pose, tuple(names), tuple(hand for hand, when in led.items() if when[number]))
+        for number, (pose, names) in enumerate(zip(poses, hands, strict=True))
+    ]
+
+
+def _shares(frames: Sequence[SeenPose], part: str) -> Float[np.ndarray, " N"]:
+    """A frame that failed tells nothing: it neither begins a gap nor ends one."""
+    return np.array([frame.signals[f"{part}_seen"] if frame.tracked else _HARDLY for frame in frames])
+
+
+def _gaps(seen: Float[np.ndarray, " N"]) -> list[tuple[int, int]]:
+    """First frame of every gap and the first after it; what is open at an end, or too long, is none."""
+    gaps, first = [], None
+    for number, share in enumerate(seen):
+        if share <= _HARDLY:
+            first = number if first is None else first
+            continue
+        if first and number - first <= _LONGEST and seen[first:number].min() <= _NOTHING:
+            gaps.append((first, number))
+        first = None
+    return gaps
+
+
+def _bridge(poses: Float[np.ndarray, "N K 3"], first: int, after: int, joints: Sequence[int]) -> None:
+    """Lay joints between the frames around a gap, in place."""
+    for joint in joints:
+        ends = Rotation.from_rotvec(poses[[first - 1, after], joint])
+        poses[first:after, joint] = Slerp([first - 1, after], ends)(np.arange(first, after)).as_rotvec()
+
+
+def _bridge_twist(turns: Float[np.ndarray, "n 3"], bone: Float[np.ndarray, "3"]) -> None:
+    """Give a limb a steady twist from the first to the last of its turns, in place.
+
+    The upper arm itself is seen, but not how it is turned about itself.
+    """
+    rotations = Rotation.from_rotvec(turns)
+    quaternions = rotations.as_quat()
+    twists = np.unwrap(2 * np.arctan2(quaternions[:, :3] @ bone, quaternions[:, 3]))
+    steady = np.linspace(twists[0], twists[-1], len(twists))
+    turns[1:-1] = (rotations * Rotation.from_rotvec((steady - twists)[:, None] * bone)).as_rotvec()[1:-1]
+
+
+def _led(poses: Float[np.ndarray, "N K 3"], joints: Sequence[int], most: float) -> Bool[np.ndarray, " N"]:
+    """Let joints set out so early that none turns by more than ``most`` to the next frame, in place."""
+    changed = np.zeros(len(poses), dtype=bool)
+    for number in range(len(poses) - 2, -1, -1):
+        after = Rotation.from_rotvec(poses[number + 1, joints])
+        back = (after.inv() * Rotation.from_rotvec(poses[number, joints])).as_rotvec()
+        angles = np.linalg.norm(back, axis=1)
+        fast = np.flatnonzero(angles > most)
+        if len(fast):
+            shortened = back[fast] * (most / angles[fast, None])
+            poses[number, np.array(joints)[fast]] = (
+                after[fast] * Rotation.from_rotvec(shortened)
+            ).as_rotvec()
+            changed[number] = True
+    return changed
+
+
+def _bone(model: SurfaceModel, joint: int, child: int) -> Float[np.ndarray, "3"]:
+    """Direction of a bone at the zero pose."""
+    rest = model.joint_regressor @ model.template
+    return (rest[child] - rest[joint]) / np.linalg.norm(rest[child] - rest[joint])

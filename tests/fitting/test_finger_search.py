@@ -1,0 +1,76 @@
+"""Fingers in the wrong pose are found in the scan; those that lie in it are left alone."""
+
+import numpy as np
+import pytest
+
+from corporeal.fitting.finger_search import FingerSearch
+from corporeal.geometry.closest_points import SurfaceTree
+from corporeal.geometry.normals import face_normals
+from corporeal.geometry.topology import open_sides
+from corporeal.model.files import open_model
+from corporeal.terms.model_fields import ModelFields
+from corporeal.terms.surface_to_scan import ScanSurface
+
+
+@pytest.fixture(scope="module")
+def body():
+    model = open_model("body")
+    return model.replace(shape_directions=np.zeros((model.vertex_count, 3, 0)))
+
+
+@pytest.fixture(scope="module")
+def search(body):
+    return FingerSearch.of_block(body, body.block("right_hand"))
+
+
+def _vector(body, pose):
+    return np.concatenate([np.zeros(3), pose.ravel()])
+
+
+def _scan(body, vertices):
+    normals = face_normals(vertices, body.faces)
+    return ScanSurface(SurfaceTree(vertices, body.faces), normals, open_sides(body.faces))
+
+
+def _bent(body, pose, bend):
+    """Middle, ring and little finger closed as recorded fists are."""
+    fist = body.block("right_hand").mixture.means
+    joints = list(body.block("right_hand").joints)
+    most = fist[np.abs(fist).sum(axis=1).argmax()].reshape(-1, 3)
+    bent = pose.copy()
+    bent[joints[3:12]] = bend * most[3:12]
+    return bent
+
+
+def test_fingers_are_chains_from_the_palm(body, search):
+    assert [len(finger) for finger in search.fingers] == [3] * 5
+    for finger in search.fingers:
+        assert body.parents[finger[0]] == body.joint_names.index("right_wrist")
+        assert [int(body.parents[joint]) for joint in finger[1:]] == list(finger[:-1])
+
+
+def test_straight_fingers_are_found_from_a_fist(body, search, rng):
+    fields, straight = ModelFields(body, shape_count=0), np.zeros((body.joint_count, 3))
+    true = fields.evaluated(_vector(body, straight)).vertices
+    scan, points = _scan(body, true), true + 5e-4 * rng.standard_normal(true.shape)
+    wrong = _vector(body, _bent(body, straight, 1.0))
+    vertices = fields.evaluated(wrong).vertices
+    lost = search.lost(vertices, points, scan)
+    found = lost.sought(fields, wrong, scan)
+    after = fields.evaluated(found).vertices
+    assert lost.found(after, scan) and not lost.found(vertices, scan)
+    before_mm, after_mm = (
+        1e3 * np.linalg.norm(surface - true, axis=1)[search.hand].mean() for surface in (vertices, after)
+    )
+    assert before_mm > 10 and after_mm < 0.3 * before_mm
+    moved = np.flatnonzero(np.abs((found - wrong)[3:].reshape(-1, 3)).max(axis=1))
+    assert set(moved.tolist()) <= set(body.block("right_hand").joints)
+
+
+def test_fingers_in_their_scan_and_hands_without_one_are_left(body, search):
+    fields, straight = ModelFields(body, shape_count=0), np.zeros((body.joint_count, 3))
+    true = fields.evaluated(_vector(body, straight)).vertices
+    near = fields.evaluated(_vector(body, _bent(body, straight, 0.05))).vertices
+    assert search.lost(near, true, _scan(body, true)) is None
+    gone = true[~search.hand]
+    assert search.lost(near, gone, _scan(body, true)) is None
