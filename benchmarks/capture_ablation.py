@@ -20,6 +20,7 @@ from pathlib import Path
 from tracking import COLUMNS, HANDS, Score, Truth, line, scored
 from tracking_ablation import VARIANTS
 
+from corporeal.fitting.bridged_records import bridge_records
 from corporeal.fitting.files import (
     TEMPLATE,
     FrameRecord,
@@ -31,8 +32,11 @@ from corporeal.fitting.files import (
 from corporeal.fitting.track import Tracker
 from corporeal.registration.subjects import BODY
 from corporeal.scans.files import read_scan
+from corporeal.scans.simulation.bodies.motion import FPS
 
-NAMES = ("as it is", "no velocity term", "single Gaussian", "flat hands", "six components")
+NAMES = (
+    "as it is", "no velocity term", "single Gaussian", "flat hands", "six components", "no finger search"
+)  # fmt: skip
 BEFORE, SHORTEST = 4, 8
 
 
@@ -53,7 +57,8 @@ def measured(sequence: Path, tracked: Path, variant: str, count: int) -> Score:
     """One sequence's window by one variant."""
     before, *names = window(sequence, tracked, count)
     state = read_frame(frame_path(tracked, before)).state
-    tracker = Tracker(load_subject_template(tracked), VARIANTS[variant], state)
+    template = load_subject_template(tracked)
+    tracker = Tracker(template, VARIANTS[variant], state)
     with tempfile.TemporaryDirectory() as folder:
         again = Path(folder)
         (again / "frames").mkdir()
@@ -61,6 +66,7 @@ def measured(sequence: Path, tracked: Path, variant: str, count: int) -> Score:
         for name in names:
             scan = read_scan(sequence / "scans" / f"{name}.ply", "mm", BODY.extent)
             write_frame(frame_path(again, name), FrameRecord(tracker.step(scan, name), tracker.state))
+        bridge_records(again, names, template.model, FPS)
         return scored(sequence, again, 1)
 
 

@@ -36,6 +36,7 @@ VARIANTS = {
     "single Gaussian": TrackingOptions(hand_prior="gaussian"),
     "flat hands": TrackingOptions(hands="flat"),
     "six components": TrackingOptions(hands="components"),
+    "no finger search": TrackingOptions(find_fingers=False),
     "no prediction": TrackingOptions(predict=False),
     "first scale 3 cm": TrackingOptions(
         annealing=(AnnealingStep(100.0, 0.03, 4), AnnealingStep(500.0, 0.01, 5)),

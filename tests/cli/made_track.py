@@ -44,5 +44,5 @@ def write_made_frame(folder: Path, model, number: int, status: str = "ok") -> No
         f"{number:04d}", status, "" if status == "ok" else f"because {number}", pose, place, s2m,
         {"total": 0.1}, {"model_seen": 0.9, "right_hand_seen": 0.8},
     )  # fmt: skip
-    state = TrackState(pose, place, True, np.zeros_like(pose), np.zeros(3))
+    state = TrackState(pose, place, True, np.zeros_like(pose), np.zeros(3), np.zeros(1, dtype=np.int64))
     write_frame(frame_path(folder, frame.name), FrameRecord(frame, state))

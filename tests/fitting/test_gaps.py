@@ -119,7 +119,8 @@ def test_records_are_bridged_alike_however_often(body, rng, tmp_path):
     frames, _, _ = _frames(body, rng)
     names = [f"{number:04d}" for number in range(FRAMES)]
     for name, frame in zip(names, frames, strict=True):
-        state = TrackState(frame.pose, np.zeros(3), True, np.zeros_like(frame.pose), np.zeros(3))
+        still = np.zeros_like(frame.pose)
+        state = TrackState(frame.pose, np.zeros(3), True, still, np.zeros(3), np.zeros(2, dtype=np.int64))
         found = TrackedFrame(name, "ok", "", frame.pose, np.zeros(3), None, {}, dict(frame.signals))
         write_frame(frame_path(tmp_path, name), FrameRecord(found, state))
     # As far as an interrupted run came: the gap is still open.

@@ -23,7 +23,8 @@ from corporeal.model.files import open_model
 
 def _record(rng, **changes):
     pose, place = rng.standard_normal((16, 3)), rng.standard_normal(3)
-    state = TrackState(pose + 1, place + 1, True, rng.standard_normal((16, 3)), rng.standard_normal(3))
+    turned, moved = rng.standard_normal((16, 3)), rng.standard_normal(3)
+    state = TrackState(pose + 1, place + 1, True, turned, moved, np.array([4]))
     frame = TrackedFrame(
         "0007", "doubtful", "far: 4.2 mm", pose, place, {"mean": 0.1 + 0.2}, {"total": 1 / 3}, {"seen": 0.5}
     )  # fmt: skip

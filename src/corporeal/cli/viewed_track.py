@@ -268,7 +268,7 @@ class ViewedTrack:
             for key, share in sorted(
                 item["signals"].items(), key=lambda signal: ("hand" in signal[0], signal)
             )
-            if key.endswith("_seen") and share is not None
+            if key.endswith(("model_seen", "hand_seen")) and share is not None
         )
         mean = (item["s2m_mm"] or {}).get("mean")
         return FrameRow(name, item["status"], item["reason"], mean, seen)

@@ -17,7 +17,7 @@ from corporeal.fitting.track import Status, TrackedFrame, TrackState
 from corporeal.model.files import ModelFileError, load_model, save_model
 from corporeal.model.formats.archive import write_archive
 
-FORMAT = "corporeal-track-1"
+FORMAT = "corporeal-track-2"
 TEMPLATE = "template.npz"
 TEMPLATE_STORY = "template.json"
 """Written after the template: where it is, the template is whole."""
@@ -78,6 +78,7 @@ def write_frame(path: Path | str, record: FrameRecord) -> None:
         "state_fitted": np.array(state.fitted),
         "state_turned": state.turned,
         "state_moved": state.moved,
+        "state_settling": state.settling,
         "sha256": np.array(record.sha256 or ""),
         "stamp": np.array(record.stamp or (-1, -1), dtype=np.int64),
     }
@@ -124,6 +125,7 @@ def _record(arrays: Mapping[str, np.ndarray]) -> FrameRecord:
         bool(arrays["state_fitted"]),
         arrays["state_turned"],
         arrays["state_moved"],
+        arrays["state_settling"],
     )
     offsets = arrays["offsets"] * _STEP if len(arrays["offsets"]) else None
     frame = TrackedFrame(

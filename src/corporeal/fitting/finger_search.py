@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.sparse as sp
 from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
@@ -26,6 +27,9 @@ _FARTHEST = 0.03
 _FEWEST = 20
 # Root mean square distances of points and of what is outside of the scan: webs make up for 4 to 6 mm.
 _LOST = 6e-3
+# Phalanges of two fingers, side by side, lie 14 mm apart and more between their middles; nearer, they are in
+# one another, and each pair costs this part of the square that it is too near.
+_APART, _OVERLAP = 0.012, 0.5
 # A search that leaves more than this share of the cost is not worth a solve.
 _WORTH = 0.8
 
@@ -49,19 +53,19 @@ class LostFingers:
     ) -> Float[np.ndarray, " Q"] | None:
         """The parameters with fingers where points and surface are much nearer to each other, or None.
 
-        Finger by finger the best candidate stays, or the finger as it is.
+        The best candidate stays, or what is as it is: of all fingers at once, then of one after the other.
 
         Args:
             fields: of the model.
             vector: parameters that fit; all but the fingers' stay.
             scan: its surface.
         """
-        best, found = self.cost, vector
-        for finger in map(list, self.search.fingers):
+        best, found, fingers = self.cost, vector, [list(finger) for finger in self.search.fingers]
+        for joints in ([joint for finger in fingers for joint in finger], *fingers):
             start = found
             for candidate in self.search.poses:
                 posed = start.copy()
-                posed[fields.columns.pose].reshape(-1, 3)[finger] = candidate[finger]
+                posed[fields.columns.pose].reshape(-1, 3)[joints] = candidate[joints]
                 cost = self.search.cost(fields.evaluated(posed).vertices, self.points, scan)
                 if cost < best:
                     best, found = cost, posed
@@ -78,11 +82,13 @@ class FingerSearch:
 
     Attributes:
         hand: (V,) vertices of the hand.
+        phalanges: (15, V) shares of vertices in the middle of what each of the fingers' joints carries.
         fingers: joints of every finger, from the palm outwards.
         poses: (C, K, 3) candidates, radians, of the hand's joints: straight, and recorded ones.
     """
 
     hand: Bool[np.ndarray, " V"]
+    phalanges: sp.csr_matrix
     fingers: tuple[tuple[int, ...], ...]
     poses: Float[np.ndarray, "C K 3"]
 
@@ -102,7 +108,10 @@ class FingerSearch:
         poses[1:, list(block.joints)] = recorded.reshape(len(recorded), -1, 3)
         hand = np.zeros(model.vertex_count, dtype=bool)
         hand[np.unique(model.faces[HandFaces.of_model(model).masks[block.name]])] = True
-        return cls(hand, tuple(map(tuple, fingers)), poses)
+        joints = [joint for finger in fingers for joint in finger]
+        carried = (model.skinning_weights[:, joints] > 0.5).astype(float)
+        phalanges = sp.csr_matrix((carried / np.maximum(carried.sum(axis=0), 1)).T)
+        return cls(hand, phalanges, tuple(map(tuple, fingers)), poses)
 
     def lost(
         self, vertices: Float[np.ndarray, "V 3"], points: Float[np.ndarray, "n 3"], scan: ScanSurface
@@ -128,10 +137,19 @@ class FingerSearch:
     def cost(
         self, vertices: Float[np.ndarray, "V 3"], points: Float[np.ndarray, "n 3"], scan: ScanSurface
     ) -> float:
-        """Mean square distance of points to the hand, and of what of the hand is outside of the scan."""
+        """Mean square distances of points to the hand and of what of it is outside of the scan; overlaps."""
         hand = vertices[self.hand]
         away, _ = cKDTree(hand).query(points, distance_upper_bound=_FARTHEST)
         closest = scan.tree.closest(hand)
         outside = np.einsum("va,va->v", hand - closest.points, scan.normals[closest.faces]) > 0
         out = np.where(outside, np.minimum(closest.distances, _FARTHEST), 0.0)
-        return float(np.square(np.minimum(away, _FARTHEST)).mean() + np.square(out).mean())
+        square = np.square(np.minimum(away, _FARTHEST)).mean() + np.square(out).mean()
+        return float(square + _OVERLAP * self._overlap(vertices))
+
+    def _overlap(self, vertices: Float[np.ndarray, "V 3"]) -> float:
+        """Sum of squares by which phalanges of two fingers are too near."""
+        middles = self.phalanges @ vertices
+        finger = np.repeat(np.arange(len(self.fingers)), [len(finger) for finger in self.fingers])
+        one, two = np.nonzero(finger[:, None] < finger)
+        near = _APART - np.linalg.norm(middles[one] - middles[two], axis=1)
+        return float(np.square(np.maximum(near, 0)).sum())

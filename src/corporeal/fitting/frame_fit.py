@@ -12,7 +12,7 @@ from corporeal.fitting.finger_search import FingerSearch, LostFingers
 from corporeal.fitting.frame_data import FramePoints, HandFaces, chosen_points, joints_above, seen_shares
 from corporeal.fitting.free_vertices import coupled_vertices
 from corporeal.fitting.options import AnnealingStep, FreeStage, TrackingOptions
-from corporeal.fitting.pose_terms import is_hand, pose_terms, tracking_subspace
+from corporeal.fitting.pose_terms import pose_terms, tracking_subspace
 from corporeal.geometry.closest_points import ClosestPoints
 from corporeal.model.surface_model import SurfaceModel
 from corporeal.scans.scan import Scan
@@ -114,8 +114,7 @@ class FrameFitter:
         hinges = hinge_terms(model, self.fields.columns, HINGE_SIGMA)
         self._arms = {name: _arm(model, hinges, name, mask) for name, mask in self.hands.masks.items()}
         self._subspace = tracking_subspace(model, self.fields.columns, options)
-        free = [block for block in model.pose_blocks if is_hand(block) and options.hands != "flat"]
-        self._fingers = [FingerSearch.of_block(model, block) for block in free]
+        self._fingers = [FingerSearch.of_block(model, model.block(name)) for name in self.hands.masks]
 
     def fit(self, points: FramePoints, start: FrameStart, steps: tuple[AnnealingStep, ...]) -> Solution:
         """Solve the steps one after the other; the last solution, which may not be usable."""
@@ -181,12 +180,24 @@ class FrameFitter:
         return []
 
     def lost_fingers(
-        self, points: FramePoints, vector: Float[np.ndarray, " Q"], scan: ScanSurface
+        self,
+        points: FramePoints,
+        vector: Float[np.ndarray, " Q"],
+        scan: ScanSurface,
+        asked: Bool[np.ndarray, " H"],
     ) -> list[LostFingers]:
-        """Hands whose fingers do not lie in a frame's points and surface."""
+        """Hands, of those asked, whose fingers do not lie in a frame's points and surface."""
         vertices = self.fields.evaluated(vector).vertices
-        lost = (search.lost(vertices, points.positions, scan) for search in self._fingers)
+        lost = (
+            search.lost(vertices, points.positions, scan)
+            for search, wanted in zip(self._fingers, asked, strict=True)
+            if wanted
+        )
         return [one for one in lost if one is not None]
+
+    def unseen_hands(self, measures: FrameMeasures) -> Bool[np.ndarray, " H"]:
+        """Hands of which so little is seen that they may be missing."""
+        return np.array([measures.seen[f"{name}_seen"] <= _HAND_SEEN for name in self._arms], dtype=bool)
 
     def _back_terms(
         self, scan: ScanSurface, weight: float, asked: Bool[np.ndarray, " V"], first: bool,

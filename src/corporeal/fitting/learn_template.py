@@ -147,18 +147,10 @@ def _followed_back(
     # Frames of all poses tell the shape first: which one comes first would decide it otherwise.
     shapes = []
     for one in (forth[index] for index in chosen):
-        found, _ = _fitted(
-            fitter, one.frame, FrameStart(one.parameters.vector(), one.parameters.pose, first=True)
-        )
+        found, _ = _fitted(fitter, one.frame, _again(one.parameters))
         shapes += [] if found is None else [found.shape]
-    last = forth[-1].parameters
-    begin = FrameStart(
-        last.vector(),
-        last.pose,
-        first=True,
-        shape=np.mean(shapes, axis=0) if shapes else None,
-        shapes=len(shapes),
-    )
+    mean = np.mean(shapes, axis=0) if shapes else None
+    begin = replace(_again(forth[-1].parameters), shape=mean, shapes=len(shapes))
     return _followed(fitter, [one.frame for one in reversed(forth)], begin, rejected, tell)[::-1]
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from corporeal.fitting.frame_data import FramePoints, frame_points
 from corporeal.fitting.frame_fit import FrameFitter, FrameMeasures, FrameStart, scan_surface
@@ -36,6 +36,7 @@ class TrackState:
         turned: (K, 3) change of the pose to the last good frame from the one before it; zero where they do
             not follow one another.
         moved: (3,) the same of the translation.
+        settling: frames for which each hand's fingers are not looked for, since it was out of sight.
     """
 
     pose: Float[np.ndarray, "K 3"]
@@ -43,18 +44,28 @@ class TrackState:
     fitted: bool
     turned: Float[np.ndarray, "K 3"]
     moved: Float[np.ndarray, "3"]
+    settling: Int[np.ndarray, " H"]
 
     @classmethod
     def at_start(cls, template: SubjectTemplate) -> TrackState:
         """Before the first frame."""
         pose, translation = template.start_pose, template.start_translation
-        return cls(pose, translation, False, np.zeros_like(pose), np.zeros(3))
+        hands = sum(is_hand(block) for block in template.model.pose_blocks)
+        return cls(
+            pose, translation, False, np.zeros_like(pose), np.zeros(3), np.zeros(hands, dtype=np.int64)
+        )
 
-    def after(self, pose: Float[np.ndarray, "K 3"], translation: Float[np.ndarray, "3"]) -> TrackState:
+    def after(
+        self,
+        pose: Float[np.ndarray, "K 3"],
+        translation: Float[np.ndarray, "3"],
+        settling: Int[np.ndarray, " H"],
+    ) -> TrackState:
         """After one more good frame."""
+        turned, moved = pose - self.pose, translation - self.translation
         if not self.fitted:
-            return TrackState(pose, translation, True, np.zeros_like(pose), np.zeros(3))
-        return TrackState(pose, translation, True, pose - self.pose, translation - self.translation)
+            turned, moved = np.zeros_like(pose), np.zeros(3)
+        return TrackState(pose, translation, True, turned, moved, settling)
 
     def stopped(self) -> TrackState:
         """After a frame that was lost: nothing is known of the motion any more."""
@@ -100,6 +111,11 @@ class TrackedFrame:
     offsets: Float[np.ndarray, "V 3"] | None = None
 
 
+# Frames after its return in which an arm still finds its place: fingers sought before that were those of a
+# hand turned about itself, and held it there.
+_SETTLING = 10
+
+
 class Tracker:
     """Follows one subject; memory does not grow with the number of frames."""
 
@@ -138,7 +154,7 @@ class Tracker:
             return self._lost(name, found, {"total": time.perf_counter() - begun})
         points = frame_points(scan, self.options)
         sampled = time.perf_counter()
-        vector, measures = self._fitted(points, scan_surface(scan))
+        vector, measures, settling = self._fitted(points, scan_surface(scan))
         ended = time.perf_counter()
         seconds = {"sample": sampled - begun, "fit": ended - sampled, "total": ended - begun}
         if measures is None:
@@ -154,7 +170,7 @@ class Tracker:
             freed = time.perf_counter()
             seconds |= {"free": freed - ended, "total": freed - begun}
         parameters = self._fitter.fields.parameters(vector)
-        self.state = self.state.after(parameters.pose, parameters.translation)
+        self.state = self.state.after(parameters.pose, parameters.translation, settling)
         return TrackedFrame(
             name, status, verdict, parameters.pose, parameters.translation, s2m_mm, seconds,
             measures.signals, offsets,
@@ -162,8 +178,8 @@ class Tracker:
 
     def _fitted(
         self, points: FramePoints, back: ScanSurface | None
-    ) -> tuple[np.ndarray, FrameMeasures | None]:
-        """The frame's parameters; a frame that is lost is tried again from farther away."""
+    ) -> tuple[np.ndarray, FrameMeasures | None, Int[np.ndarray, " H"]]:
+        """The frame's parameters, what they explain, and which hands settle; what is lost is tried again."""
         state, options = self.state, self.options
         previous = state.pose if state.fitted else None
         vector = state.predicted(self._moving) if options.predict else state.vector()
@@ -179,17 +195,20 @@ class Tracker:
                 vector, measures = again, other
                 if other is not None and other.stray <= options.bounds.stray_share:
                     break
-        return self._with_fingers(points, vector, measures, back)
+        if measures is None:
+            return vector, measures, state.settling
+        settling = np.where(self._fitter.unseen_hands(measures), _SETTLING, np.maximum(state.settling - 1, 0))
+        if back is not None and options.find_fingers and options.hands != "flat":
+            vector, measures = self._with_fingers(points, vector, measures, back, settling == 0)
+        return vector, measures, settling
 
     def _with_fingers(
-        self, points: FramePoints, vector: np.ndarray, measures: FrameMeasures | None,
-        back: ScanSurface | None,
-    ) -> tuple[np.ndarray, FrameMeasures | None]:  # fmt: skip
+        self, points: FramePoints, vector: np.ndarray, measures: FrameMeasures, back: ScanSurface,
+        hands: Bool[np.ndarray, " H"],
+    ) -> tuple[np.ndarray, FrameMeasures]:  # fmt: skip
         """A frame's parameters with fingers that had lost their scan found again, where they are."""
-        if measures is None or back is None or not self.options.find_fingers:
-            return vector, measures
         fields, steps = self._fitter.fields, self.options.annealing[-1:]
-        for lost in self._fitter.lost_fingers(points, vector, back):
+        for lost in self._fitter.lost_fingers(points, vector, back, hands):
             begin = lost.sought(fields, vector, back)
             if begin is None:
                 continue
