@@ -74,3 +74,17 @@ def test_fingers_in_their_scan_and_hands_without_one_are_left(body, search):
     assert search.lost(near, true, _scan(body, true)) is None
     gone = true[~search.hand]
     assert search.lost(near, gone, _scan(body, true)) is None
+
+
+def test_fingers_in_one_another_cost(body, search):
+    fields, pose = ModelFields(body, shape_count=0), np.zeros((body.joint_count, 3))
+    true = fields.evaluated(_vector(body, pose)).vertices
+    scan = _scan(body, true)
+    apart = search.cost(true, true[search.hand], scan)
+    rest = body.joint_regressor @ body.template
+    index, middle = (search.fingers[number][0] for number in (0, 1))
+    # The whole index finger is carried to the middle one; points on it are explained as before.
+    on_index = body.skinning_weights[:, list(search.fingers[0])].sum(axis=1) > 0.5
+    moved = true + np.where(on_index[:, None], rest[middle] - rest[index], 0.0)
+    assert apart < 1e-9
+    assert search.cost(moved, moved[search.hand], scan) > (6e-3) ** 2

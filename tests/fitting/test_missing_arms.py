@@ -83,9 +83,11 @@ def test_a_missing_forearm_is_held_and_found_again_elsewhere(person):
     for number in (1, 2, 3):
         gone = tracker.step(_scan(person, before, arm=False), str(number))
         assert gone.signals["left_hand_seen"] < 0.15
+        assert tracker.state.settling.tolist() == [10, 0]
     assert np.rad2deg(np.linalg.norm(gone.pose[elbow] - seen.pose[elbow])) < 2
     for number in (4, 5, 6):
         back = tracker.step(_scan(person, after, arm=True), str(number))
+    assert tracker.state.settling.tolist() == [7, 0]
     vertices = evaluate(person, np.zeros(0), back.pose, back.translation).vertices
     assert np.linalg.norm(vertices - after, axis=1)[_arm(person)].mean() < 0.005
     fingers = list(person.block("left_hand").joints)
