@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from corporeal.fitting.finger_search import FingerSearch
+from corporeal.fitting.frame_data import HandFaces
 from corporeal.geometry.closest_points import SurfaceTree
 from corporeal.geometry.normals import face_normals
 from corporeal.geometry.topology import open_sides
@@ -20,7 +21,8 @@ def body():
 
 @pytest.fixture(scope="module")
 def search(body):
-    return FingerSearch.of_block(body, body.block("right_hand"))
+    faces = HandFaces.of_model(body).masks["right_hand"]
+    return FingerSearch.of_block(body, body.block("right_hand"), faces)
 
 
 def _vector(body, pose):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from corporeal.fitting.frame_data import FramePoints
+from corporeal.fitting.frame_data import FrameData, FramePoints
 from corporeal.fitting.joint_places import with_shifted_joints
 from corporeal.fitting.subject_joints import FittedFrame, subject_joint_shifts
 from corporeal.fitting.subject_template import personal_model
@@ -32,7 +32,8 @@ def _frames(body, rng, count):
             vertices[number % 2 :: 2], vertex_normals(vertices, body.faces)[number % 2 :: 2], 1e-4
         )
         near = pose + np.deg2rad(1) * rng.standard_normal(pose.shape)
-        frames.append(FittedFrame(str(number), points, ModelParameters(np.zeros(3), near, np.zeros(2))))
+        parameters = ModelParameters(np.zeros(3), near, np.zeros(2))
+        frames.append(FittedFrame(FrameData(str(number), points, None), parameters))
     return frames
 
 
@@ -56,11 +57,11 @@ def test_knees_and_elbows_that_lie_elsewhere_are_found_on_both_sides(body, rng):
 def test_where_nothing_can_be_told_nothing_is_placed(body, rng):
     assert subject_joint_shifts(body, []) is None
     frame = _frames(body, rng, 1)[0]
-    few = FramePoints(frame.points.positions[:50], frame.points.normals[:50], 1e-4)
-    assert subject_joint_shifts(body, [FittedFrame("0", few, frame.parameters)]) is None
+    few = FramePoints(frame.data.points.positions[:50], frame.data.points.normals[:50], 1e-4)
+    assert subject_joint_shifts(body, [FittedFrame(FrameData("0", few, None), frame.parameters)]) is None
     hand = open_model("hand")
     parameters = ModelParameters(np.zeros(3), np.zeros((hand.joint_count, 3)), np.zeros(2))
-    assert subject_joint_shifts(hand, [FittedFrame("0", few, parameters)]) is None
+    assert subject_joint_shifts(hand, [FittedFrame(FrameData("0", few, None), parameters)]) is None
 
 
 def test_a_person_has_joints_of_its_own(body):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
@@ -42,28 +42,28 @@ def bridge_records(
         TrackFileError: a record is damaged.
         OSError: a record cannot be read or written.
     """
-    frames = []
+    frames, stored = [], []
     for name in names:
         record = read_frame(frame_path(folder, name))
         frames.append(SeenPose(record.state.pose, record.frame.signals, record.frame.status != "failed"))
+        stored.append(record.frame.pose)
     found = bridged(model, frames, fps)
-    for name, pose in zip(names, found, strict=True):
-        _rewrite(folder, name, pose, on_change or (lambda name: None))
+    for name, frame, pose, bridge in zip(names, frames, stored, found, strict=True):
+        signals = _signals(frame.signals, bridge)
+        if signals == frame.signals and (pose == bridge.pose).all():
+            continue
+        if on_change is not None:
+            on_change(name)
+        path = frame_path(folder, name)
+        record = read_frame(path)
+        write_frame(path, replace(record, frame=replace(record.frame, pose=bridge.pose, signals=signals)))
     return _sentences(names, found)
 
 
-def _rewrite(folder: Path, name: str, bridge: BridgedPose, on_change: Callable[[str], None]) -> None:
-    path = frame_path(folder, name)
-    record = read_frame(path)
-    signals = {
-        key: share for key, share in record.frame.signals.items() if not key.endswith((_BRIDGED, _LED))
-    }
+def _signals(before: Mapping[str, float], bridge: BridgedPose) -> dict[str, float]:
+    signals = {key: share for key, share in before.items() if not key.endswith((_BRIDGED, _LED))}
     signals |= {f"{hand}{_BRIDGED}": 1.0 for hand in bridge.hands}
-    signals |= {f"{hand}{_LED}": 1.0 for hand in bridge.led}
-    if signals == record.frame.signals and (record.frame.pose == bridge.pose).all():
-        return
-    on_change(name)
-    write_frame(path, replace(record, frame=replace(record.frame, pose=bridge.pose, signals=signals)))
+    return signals | {f"{hand}{_LED}": 1.0 for hand in bridge.led}
 
 
 def _sentences(names: Sequence[str], found: Sequence[BridgedPose]) -> list[str]:

@@ -13,7 +13,6 @@ import scipy.sparse as sp
 from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
-from corporeal.fitting.frame_data import HandFaces
 from corporeal.model.statistics import PoseBlock
 from corporeal.model.surface_model import SurfaceModel
 from corporeal.terms.model_fields import ModelFields
@@ -93,8 +92,8 @@ class FingerSearch:
     poses: Float[np.ndarray, "C K 3"]
 
     @classmethod
-    def of_block(cls, model: SurfaceModel, block: PoseBlock) -> FingerSearch:
-        """That of a hand's block; the middles of the recorded poses' clusters, where there are any."""
+    def of_block(cls, model: SurfaceModel, block: PoseBlock, faces: Bool[np.ndarray, " F"]) -> FingerSearch:
+        """That of a hand's block and faces; the middles of recorded poses' clusters, where there are any."""
         fingers: list[list[int]] = []
         for joint in block.joints:
             parent = int(model.parents[joint])
@@ -107,7 +106,7 @@ class FingerSearch:
         poses = np.zeros((1 + len(recorded), model.joint_count, 3))
         poses[1:, list(block.joints)] = recorded.reshape(len(recorded), -1, 3)
         hand = np.zeros(model.vertex_count, dtype=bool)
-        hand[np.unique(model.faces[HandFaces.of_model(model).masks[block.name]])] = True
+        hand[np.unique(model.faces[faces])] = True
         joints = [joint for finger in fingers for joint in finger]
         carried = (model.skinning_weights[:, joints] > 0.5).astype(float)
         phalanges = sp.csr_matrix((carried / np.maximum(carried.sum(axis=0), 1)).T)

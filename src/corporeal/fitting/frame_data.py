@@ -17,6 +17,7 @@ from corporeal.model.surface_model import SurfaceModel
 from corporeal.scans.scan import Scan
 from corporeal.scans.surface_sampling import sample_surface
 from corporeal.terms.scan_to_surface import MovingSurface
+from corporeal.terms.surface_to_scan import ScanSurface
 
 # A sample this near, on skin that faces the same way, confirms the surface beside it.
 _BESIDE = 0.02
@@ -45,6 +46,21 @@ def frame_points(scan: Scan, options: TrackingOptions) -> FramePoints:
         return FramePoints(positions, None, None)
     area = float(face_areas(scan.points, scan.faces).sum())
     return FramePoints(positions, normals, area / len(positions))
+
+
+@dataclass(frozen=True, eq=False)
+class FrameData:
+    """All that is kept of a frame's scan while others are fitted: two megabytes.
+
+    Attributes:
+        name: of the frame.
+        points: spread over the scan.
+        back: the scan's surface, for distances back; None for a point cloud.
+    """
+
+    name: str
+    points: FramePoints
+    back: ScanSurface | None
 
 
 @dataclass(frozen=True, eq=False)

@@ -69,7 +69,7 @@ class FrameMeasures:
 
     Attributes:
         s2m_mm: distances of scan points to the model.
-        seen: shares of the model and of each hand that the scan confirms.
+        seen: shares of the model and of each hand and forearm that the scan confirms.
         stray: share of the scan points that lie farther from the model than one person's skin from another's.
     """
 
@@ -114,7 +114,9 @@ class FrameFitter:
         hinges = hinge_terms(model, self.fields.columns, HINGE_SIGMA)
         self._arms = {name: _arm(model, hinges, name, mask) for name, mask in self.hands.masks.items()}
         self._subspace = tracking_subspace(model, self.fields.columns, options)
-        self._fingers = [FingerSearch.of_block(model, model.block(name)) for name in self.hands.masks]
+        self._fingers = [
+            FingerSearch.of_block(model, model.block(name), mask) for name, mask in self.hands.masks.items()
+        ]
 
     def fit(self, points: FramePoints, start: FrameStart, steps: tuple[AnnealingStep, ...]) -> Solution:
         """Solve the steps one after the other; the last solution, which may not be usable."""

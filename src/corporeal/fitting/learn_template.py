@@ -7,14 +7,13 @@ the frames followed back again, from the last, where shape and hands are known b
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import islice
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from corporeal.fitting.frame_data import FramePoints, frame_points
+from corporeal.fitting.frame_data import FrameData, frame_points
 from corporeal.fitting.frame_fit import FrameFitter, FrameStart, scan_surface
 from corporeal.fitting.joint_places import with_shifted_joints
 from corporeal.fitting.options import HandPose, TrackingOptions
@@ -25,7 +24,6 @@ from corporeal.fitting.unposing import unposed
 from corporeal.model.surface_model import SurfaceModel
 from corporeal.scans.scan import Scan
 from corporeal.terms.model_fields import ModelParameters
-from corporeal.terms.surface_to_scan import ScanSurface
 
 # A frame is badly unposed where more than a twentieth of its vertices lies farther than this from the median
 # of all frames: in place of the paper's look at each.
@@ -36,26 +34,6 @@ _FOR_SHAPE = 8
 
 class TemplateError(ValueError):
     """No frame of a sequence could be used for a subject's template."""
-
-
-class _Frame(NamedTuple):
-    """What is kept of a scan: two megabytes."""
-
-    name: str
-    points: FramePoints
-    back: ScanSurface | None
-
-
-@dataclass(frozen=True, eq=False)
-class _Followed:
-    """A frame that was fitted."""
-
-    frame: _Frame
-    parameters: ModelParameters
-
-    @property
-    def name(self) -> str:
-        return self.frame.name
 
 
 def learn_subject_template(
@@ -87,8 +65,7 @@ def learn_subject_template(
     rejected: dict[str, str] = {}
     usable = _usable(islice(frames, options.template_frames), options, rejected)
     followed = _followed(fitter, usable, _started(fitter, start), rejected, tell)
-    fitted = [FittedFrame(one.name, one.frame.points, one.parameters) for one in followed]
-    shifts = subject_joint_shifts(plain, fitted) if options.place_joints else None
+    shifts = subject_joint_shifts(plain, followed) if options.place_joints else None
     if shifts is not None:
         fitter = FrameFitter(with_shifted_joints(plain, shifts), options, shape_count=options.shape_count)
         followed = _followed_back(fitter, followed, rejected, tell)
@@ -97,19 +74,19 @@ def learn_subject_template(
     # Also where the first is badly unposed: it is where the second stage starts.
     first = followed[0].parameters
     return SubjectTemplate(
-        personal_model(model, template, joints), first.shape, tuple(one.name for one in kept), rejected,
+        personal_model(model, template, joints), first.shape, tuple(one.data.name for one in kept), rejected,
         first.pose, first.translation, shifts,
     )  # fmt: skip
 
 
 def _usable(
     frames: Iterable[tuple[str, Scan | None]], options: TrackingOptions, rejected: dict[str, str]
-) -> Iterable[_Frame]:
+) -> Iterable[FrameData]:
     for name, scan in frames:
         if scan is None or len(scan.points) < options.bounds.fewest_points:
             rejected[name] = "no scan, or too few points"
         else:
-            yield _Frame(name, frame_points(scan, options), scan_surface(scan))
+            yield FrameData(name, frame_points(scan, options), scan_surface(scan))
 
 
 def _started(fitter: FrameFitter, start: ModelParameters) -> FrameStart:
@@ -120,11 +97,11 @@ def _started(fitter: FrameFitter, start: ModelParameters) -> FrameStart:
 
 
 def _followed(
-    fitter: FrameFitter, frames: Iterable[_Frame], begin: FrameStart, rejected: dict[str, str],
+    fitter: FrameFitter, frames: Iterable[FrameData], begin: FrameStart, rejected: dict[str, str],
     tell: Callable[[str], None],
-) -> list[_Followed]:  # fmt: skip
+) -> list[FittedFrame]:  # fmt: skip
     """The frames fitted one after the other, each held to the mean shape of those before it."""
-    followed: list[_Followed] = []
+    followed: list[FittedFrame] = []
     shapes = begin.shapes
     mean = np.zeros(fitter.fields.shape_count) if begin.shape is None else begin.shape
     for frame in frames:
@@ -133,25 +110,25 @@ def _followed(
         if parameters is None:
             rejected[frame.name] = reason
             continue
-        followed.append(_Followed(frame, parameters))
+        followed.append(FittedFrame(frame, parameters))
         shapes, mean = shapes + 1, (shapes * mean + parameters.shape) / (shapes + 1)
         begin = FrameStart(parameters.vector(), parameters.pose, shape=mean, shapes=shapes)
     return followed
 
 
 def _followed_back(
-    fitter: FrameFitter, forth: Sequence[_Followed], rejected: dict[str, str], tell: Callable[[str], None]
-) -> list[_Followed]:
+    fitter: FrameFitter, forth: Sequence[FittedFrame], rejected: dict[str, str], tell: Callable[[str], None]
+) -> list[FittedFrame]:
     """The frames once more, from the last to the first; they are given from the first to the last."""
     chosen = np.unique(np.linspace(0, len(forth) - 1, _FOR_SHAPE).astype(int))
     # Frames of all poses tell the shape first: which one comes first would decide it otherwise.
     shapes = []
     for one in (forth[index] for index in chosen):
-        found, _ = _fitted(fitter, one.frame, _again(one.parameters))
+        found, _ = _fitted(fitter, one.data, _again(one.parameters))
         shapes += [] if found is None else [found.shape]
     mean = np.mean(shapes, axis=0) if shapes else None
     begin = replace(_again(forth[-1].parameters), shape=mean, shapes=len(shapes))
-    return _followed(fitter, [one.frame for one in reversed(forth)], begin, rejected, tell)[::-1]
+    return _followed(fitter, [one.data for one in reversed(forth)], begin, rejected, tell)[::-1]
 
 
 def _again(parameters: ModelParameters) -> FrameStart:
@@ -159,7 +136,7 @@ def _again(parameters: ModelParameters) -> FrameStart:
     return FrameStart(parameters.vector(), parameters.pose, first=True)
 
 
-def _fitted(fitter: FrameFitter, frame: _Frame, begin: FrameStart) -> tuple[ModelParameters | None, str]:
+def _fitted(fitter: FrameFitter, frame: FrameData, begin: FrameStart) -> tuple[ModelParameters | None, str]:
     """One frame's parameters; or why there are none."""
     options = fitter.options
     steps = options.first if begin.first else options.annealing
@@ -171,20 +148,20 @@ def _fitted(fitter: FrameFitter, frame: _Frame, begin: FrameStart) -> tuple[Mode
     return (None, reason) if status == "failed" else (fitter.fields.parameters(vector), "")
 
 
-def _unposed(fitter: FrameFitter, one: _Followed) -> Float[np.ndarray, "V 3"]:
+def _unposed(fitter: FrameFitter, one: FittedFrame) -> Float[np.ndarray, "V 3"]:
     """The template that a frame's free vertices speak for.
 
     Raises:
         ArithmeticError: they are not determined.
     """
     posed = fitter.fields.evaluated(one.parameters.vector()).vertices
-    free = fitter.freed(one.frame.points, posed, fitter.options.template_free)
+    free = fitter.freed(one.data.points, posed, fitter.options.template_free)
     return unposed(fitter.model, free, one.parameters)
 
 
 def _averaged(
-    fitter: FrameFitter, followed: Sequence[_Followed], rejected: dict[str, str]
-) -> tuple[Float[np.ndarray, "V 3"], list[_Followed]]:
+    fitter: FrameFitter, followed: Sequence[FittedFrame], rejected: dict[str, str]
+) -> tuple[Float[np.ndarray, "V 3"], list[FittedFrame]]:
     """The mean of the frames' templates, and the frames that are in it."""
     kept, found = [], []
     for one in followed:
@@ -192,7 +169,7 @@ def _averaged(
             found.append(_unposed(fitter, one))
             kept.append(one)
         except ArithmeticError as error:
-            rejected[one.name] = f"free vertices: {error}"
+            rejected[one.data.name] = f"free vertices: {error}"
     if not kept:
         raise TemplateError(f"no frame could be used for the subject's template: {rejected}")
     templates = np.array(found)
@@ -200,7 +177,7 @@ def _averaged(
     spread = np.percentile(np.linalg.norm(templates - median, axis=2), 95, axis=1)
     good = spread <= _UNPOSED_P95
     for index in np.flatnonzero(~good):
-        rejected[kept[index].name] = (
+        rejected[kept[index].data.name] = (
             f"badly unposed: a twentieth of the vertices is over {1e3 * spread[index]:.1f} mm from the median"
         )
     if not good.any():

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from corporeal.fitting.frame_data import FramePoints, HandFaces, confirmed
+from corporeal.fitting.frame_data import FrameData, HandFaces, confirmed
 from corporeal.fitting.joint_places import JointPlaceOptions, PosedScan, joint_shifts
 from corporeal.model.jacobian import evaluate
 from corporeal.model.surface_model import SurfaceModel
@@ -26,16 +26,9 @@ _OPTIONS = JointPlaceOptions(strength=0.4, reach=0.03, robust_distance=8e-3, ste
 
 @dataclass(frozen=True, eq=False)
 class FittedFrame:
-    """A frame and the parameters that fit it.
+    """A frame and the parameters that fit it: place, pose and shape."""
 
-    Attributes:
-        name: of the frame.
-        points: of its scan.
-        parameters: place, pose and shape.
-    """
-
-    name: str
-    points: FramePoints
+    data: FrameData
     parameters: ModelParameters
 
 
@@ -68,11 +61,11 @@ def _posed(
     model: SurfaceModel, surface: MovingSurface, hands: Bool[np.ndarray, " F"], frame: FittedFrame
 ) -> PosedScan:
     """The points of a frame that lie on the body off its hands."""
-    parameters, points = frame.parameters, frame.points
+    parameters, points = frame.parameters, frame.data.points
     vertices = evaluate(model, parameters.shape, parameters.pose, parameters.translation).vertices
     closest = surface.closest(vertices, points.positions, None)
     kept = confirmed(points, closest, vertices, surface, _OPTIONS.reach) & ~hands[closest.faces]
     return PosedScan(
-        frame.name, "subject", points.positions[kept][:_POINTS], parameters.pose, parameters.shape,
+        frame.data.name, "subject", points.positions[kept][:_POINTS], parameters.pose, parameters.shape,
         parameters.translation,
     )  # fmt: skip
