@@ -3,10 +3,10 @@
     python benchmarks/stranger_joints.py [TRACKED]
 
 Strangers stand in the T-pose; the open body's regressor is laid onto the true places of its vertices.
-Columns, in mm and for the left side: how far the simulator's joint lies from there, the mean of the first four
-people, as (outwards, up, forwards); and the shifts that each sequence in TRACKED (of ``corporeal track``)
-found. Then, as shares of the stature, heights and lengths of both, beside Winter's table (Biomechanics and
-Motor Control of Human Movement, after Drillis and Contini).
+Columns, in mm and for the left side: how far the simulator's joint lies from there, the mean of the first
+four people, as (outwards, up, forwards); and the shifts that each sequence in TRACKED (of ``corporeal
+track``) found. Then, as shares of the stature, heights and lengths of both, beside Winter's table
+(Biomechanics and Motor Control of Human Movement, after Drillis and Contini).
 """
 
 from __future__ import annotations
