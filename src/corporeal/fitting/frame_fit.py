@@ -282,12 +282,12 @@ def _summary(mm: Float[np.ndarray, " n"]) -> dict[str, float]:
 
 
 def _arm(model: SurfaceModel, hinges: list[Hinges], name: str, hand: Bool[np.ndarray, " F"]) -> _Arm:
-    fingers = model.block(name).joints
-    above = joints_above(model, model.block(name))[:2]
+    block = model.block(name)
+    above = joints_above(model, block)[:2]
     vertices = model.skinning_weights[:, list(above)].sum(axis=1) > 0.5
     vertices[np.unique(model.faces[hand])] = True
     search = ArmSearch.below(model, above[1], hinges[0]) if hinges and len(above) == 2 else None
-    return _Arm(vertices, above, fingers, search)
+    return _Arm(vertices, above, block.joints, search)
 
 
 def scan_surface(scan: Scan) -> ScanSurface | None:

@@ -22,7 +22,7 @@ from corporeal.model.surface_model import SurfaceModel
 _HARDLY, _NOTHING = 0.15, 0.02
 # Frames: over a longer time a straight way means nothing.
 _LONGEST = 60
-# Degrees per second: no finger turns faster. Recorded ones reach 700.
+# Degrees per second: no finger turns faster. The recorded ones that simulated people move reach 350.
 _FASTEST = 900.0
 
 
