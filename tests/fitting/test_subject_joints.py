@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from corporeal.fitting.frame_data import FrameData, FramePoints
+from corporeal.fitting.frame_fit import FrameFitter
 from corporeal.fitting.joint_places import with_shifted_joints
+from corporeal.fitting.options import TrackingOptions
 from corporeal.fitting.subject_joints import FittedFrame, subject_joint_shifts
 from corporeal.fitting.subject_template import personal_model
 from corporeal.geometry.normals import vertex_normals
@@ -17,6 +19,10 @@ from corporeal.terms.model_fields import ModelParameters
 def body():
     model = open_model("body")
     return model.replace(shape_directions=model.shape_directions[:, :, :2])
+
+
+def _fitter(model):
+    return FrameFitter(model, TrackingOptions(), shape_count=2)
 
 
 def _frames(body, rng, count):
@@ -43,7 +49,7 @@ def test_knees_and_elbows_that_lie_elsewhere_are_found_on_both_sides(body, rng):
     for side, outwards in (("left", 1), ("right", -1)):
         wrong[body.joint_names.index(f"{side}_knee")] = [0, -0.025, 0]
         wrong[body.joint_names.index(f"{side}_elbow")] = [-0.012 * outwards, 0, 0]
-    found = subject_joint_shifts(with_shifted_joints(body, wrong), _frames(body, rng, 5))
+    found = subject_joint_shifts(_fitter(with_shifted_joints(body, wrong)), _frames(body, rng, 5))
     assert np.linalg.norm(found + wrong, axis=1)[np.linalg.norm(wrong, axis=1) > 0].max() < 4e-3
     mirrored = found[body.mirror_joints] * [-1, 1, 1]
     np.testing.assert_allclose(found, mirrored, atol=1e-12)
@@ -55,13 +61,16 @@ def test_knees_and_elbows_that_lie_elsewhere_are_found_on_both_sides(body, rng):
 
 
 def test_where_nothing_can_be_told_nothing_is_placed(body, rng):
-    assert subject_joint_shifts(body, []) is None
+    assert subject_joint_shifts(_fitter(body), []) is None
     frame = _frames(body, rng, 1)[0]
     few = FramePoints(frame.data.points.positions[:50], frame.data.points.normals[:50], 1e-4)
-    assert subject_joint_shifts(body, [FittedFrame(FrameData("0", few, None), frame.parameters)]) is None
+    assert (
+        subject_joint_shifts(_fitter(body), [FittedFrame(FrameData("0", few, None), frame.parameters)])
+        is None
+    )
     hand = open_model("hand")
     parameters = ModelParameters(np.zeros(3), np.zeros((hand.joint_count, 3)), np.zeros(2))
-    assert subject_joint_shifts(hand, [FittedFrame(FrameData("0", few, None), parameters)]) is None
+    assert subject_joint_shifts(_fitter(hand), [FittedFrame(FrameData("0", few, None), parameters)]) is None
 
 
 def test_a_person_has_joints_of_its_own(body):

@@ -65,7 +65,7 @@ def learn_subject_template(
     rejected: dict[str, str] = {}
     usable = _usable(islice(frames, options.template_frames), options, rejected)
     followed = _followed(fitter, usable, _started(fitter, start), rejected, tell)
-    shifts = subject_joint_shifts(plain, followed) if options.place_joints else None
+    shifts = subject_joint_shifts(fitter, followed) if options.place_joints else None
     if shifts is not None:
         fitter = FrameFitter(with_shifted_joints(plain, shifts), options, shape_count=options.shape_count)
         followed = _followed_back(fitter, followed, rejected, tell)
