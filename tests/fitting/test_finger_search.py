@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from corporeal.fitting.finger_search import FingerSearch
-from corporeal.fitting.frame_data import HandFaces
+from corporeal.fitting.frame_data import FramePoints, HandFaces
+from corporeal.fitting.frame_fit import FrameFitter, FrameStart
+from corporeal.fitting.options import TrackingOptions
 from corporeal.geometry.closest_points import SurfaceTree
-from corporeal.geometry.normals import face_normals
+from corporeal.geometry.normals import face_normals, vertex_normals
 from corporeal.geometry.topology import open_sides
 from corporeal.model.files import open_model
 from corporeal.terms.model_fields import ModelFields
@@ -60,7 +62,7 @@ def test_straight_fingers_are_found_from_a_fist(body, search, rng):
     lost = search.lost(vertices, points, scan)
     found = lost.sought(fields, wrong, scan)
     after = fields.evaluated(found).vertices
-    assert lost.found(after, scan) and not lost.found(vertices, scan)
+    assert lost.found(lost.cost_of(after, scan)) and not lost.found(lost.cost_of(vertices, scan))
     before_mm, after_mm = (
         1e3 * np.linalg.norm(surface - true, axis=1)[search.hand].mean() for surface in (vertices, after)
     )
@@ -90,3 +92,57 @@ def test_fingers_in_one_another_cost(body, search):
     moved = true + np.where(on_index[:, None], rest[middle] - rest[index], 0.0)
     assert apart < 1e-9
     assert search.cost(moved, moved[search.hand], scan) > (6e-3) ** 2
+
+
+def _in_the_chest(body, search, true):
+    """The posed body with its hand, as it is, carried to the middle of the chest."""
+    chest = (body.joint_regressor @ body.template)[body.joint_names.index("spine3")]
+    return true + np.where(search.hand[:, None], chest - true[search.hand].mean(axis=0), 0.0)
+
+
+def test_a_hand_in_the_body_is_lost_however_little_is_seen_of_it(body, search):
+    fields, pose = ModelFields(body, shape_count=0), np.zeros((body.joint_count, 3))
+    true = fields.evaluated(_vector(body, pose)).vertices
+    within = _in_the_chest(body, search, true)
+    scan = _scan(body, true)
+    cost = search.cost(within, within[search.hand], scan)
+    assert cost > 3 * (20e-3) ** 2  # all of it deeper than a thumb is thick
+    some = np.concatenate([true[~search.hand], true[search.hand][:5] + 0.005])
+    about = some + (within - true)[search.hand][0] * (np.arange(len(some)) >= (~search.hand).sum())[:, None]
+    assert search.lost(true, some, scan) is None
+    assert search.lost(within, about, scan) is not None
+
+
+def test_points_between_hand_and_body_are_only_in_part_the_hands(body, search):
+    fields, pose = ModelFields(body, shape_count=0), np.zeros((body.joint_count, 3))
+    true = fields.evaluated(_vector(body, pose)).vertices
+    own = true[search.hand][::50]
+    np.testing.assert_array_equal(search.own_shares(true, own, np.zeros(len(own))), 1.0)
+    others = true[~search.hand & (body.skinning_weights[:, 0] > 0.9)][:5]
+    np.testing.assert_array_equal(search.own_shares(true, others, np.full(5, 0.01)), 0.0)
+    normals = face_normals(true, body.faces)
+    beside = true[body.faces].mean(axis=1)[:1] + 0.01 * normals[:1]
+    share = search.own_shares(true, beside, np.array([0.02]))
+    assert share[0] == pytest.approx(0.01**2 / (0.01**2 + 0.02**2), rel=0.05)
+
+
+@pytest.mark.slow
+def test_fingers_that_took_each_others_places_are_begun_anew(body, search):
+    """A fist, turned by 70 degrees, is laid onto stretched fingers: the descent mixes them up."""
+    fitter = FrameFitter(body, TrackingOptions())
+    fields, pose = fitter.fields, np.zeros((body.joint_count, 3))
+    true = fields.evaluated(_vector(body, pose)).vertices
+    points = FramePoints(true, vertex_normals(true, body.faces), 1e-4)
+    turned = _bent(body, pose, 1.0)
+    turned[body.joint_names.index("right_wrist"), 0] = np.deg2rad(70)
+    start = FrameStart(_vector(body, turned), first=True, back=_scan(body, true))
+    vector = fitter.fit(points, start, fitter.options.first).state.parameters
+    hands, none = np.array([False, True]), np.zeros(2, dtype=bool)
+
+    def off(parameters):
+        vertices = fields.evaluated(parameters).vertices
+        return 1e3 * np.linalg.norm(vertices - true, axis=1)[search.hand].mean()
+
+    assert off(vector) > 15
+    assert off(fitter.with_fingers(points, vector, start, hands, hands)) < 1
+    np.testing.assert_array_equal(fitter.with_fingers(points, vector, start, none, none), vector)

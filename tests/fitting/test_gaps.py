@@ -43,6 +43,7 @@ def _degrees(found, expected):
 
 
 def test_a_steady_turn_is_restored_and_nothing_else_moves(body, rng):
+    """Fingers to rounding; elbow and wrist are told by a process whose observations are a degree wide."""
     frames, steady, arm = _frames(body, rng)
     found = bridged(body, frames, FPS)
     shoulder = body.joint_names.index("left_shoulder")
@@ -54,8 +55,33 @@ def test_a_steady_turn_is_restored_and_nothing_else_moves(body, rng):
         if not gap:
             np.testing.assert_array_equal(bridge.pose, frame.pose)
         # Axis-angles that grow steadily about a fixed axis are steady turns.
-        assert _degrees(bridge.pose[arm], steady[number][arm]).max() < 1e-6
+        assert _degrees(bridge.pose[arm[2:]], steady[number][arm[2:]]).max() < 1e-6
+        assert _degrees(bridge.pose[arm[:2]], steady[number][arm[:2]]).max() < 1.0
         assert _degrees(bridge.pose[shoulder], frame.pose[shoulder]) < 1.0
+
+
+def test_a_missing_forearm_swings_with_the_legs(body, rng):
+    """Bent most in the middle of the gap, as a step before and after it; the straight way stays stretched."""
+    count, first, after = 90, 40, 58
+    left, right, elbow = (body.joint_names.index(name) for name in ("left_hip", "right_hip", "left_elbow"))
+    swing = np.cos(2 * np.pi * (np.arange(count) - (first + after - 1) / 2) / 36)
+    true = np.zeros((count, body.joint_count, 3))
+    true[:, left, 0], true[:, right, 0] = 0.5 * swing, -0.5 * swing
+    true[:, elbow, 1] = -np.deg2rad(50 + 40 * swing)
+    true += np.deg2rad(0.5) * rng.standard_normal(true.shape)
+    frames = []
+    for number, pose in enumerate(true):
+        gap = first <= number < after
+        shares = {f"{side}_{part}_seen": 0.8 for side in ("left", "right") for part in ("hand", "forearm")}
+        tracked = pose.copy()
+        if gap:
+            tracked[elbow] = true[first - 1, elbow]
+            shares |= {"left_hand_seen": 0.0, "left_forearm_seen": 0.0}
+        frames.append(SeenPose(tracked, shares, True))
+    found = np.array([bridge.pose[elbow] for bridge in bridged(body, frames, FPS)])[first:after]
+    straight = np.linspace(true[first - 1, elbow], true[after, elbow], after - first + 2)[1:-1]
+    assert _degrees(straight, true[first:after, elbow]).max() > 30
+    assert _degrees(found, true[first:after, elbow]).max() < 5
 
 
 def test_an_upper_arm_keeps_its_direction_and_gets_a_steady_twist(body, rng):

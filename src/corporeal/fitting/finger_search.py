@@ -13,22 +13,35 @@ import scipy.sparse as sp
 from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
+from corporeal.fitting.frame_data import joints_above
+from corporeal.geometry.normals import face_normals
 from corporeal.model.statistics import PoseBlock
 from corporeal.model.surface_model import SurfaceModel
 from corporeal.terms.model_fields import ModelFields
+from corporeal.terms.scan_to_surface import MovingSurface
 from corporeal.terms.surface_to_scan import ScanSurface
 
 # Points so near to the hand's middle are asked, but not those so near to the rest of the body; metres.
 _REACH, _ELSEWHERE = 0.13, 0.015
 # What lies farther off counts no more, metres.
 _FARTHEST = 0.03
-# Fewer points say nothing of a hand: with 20, fingers of fists of which a fifth was seen were laid elsewhere.
-_FEWEST = 50
+# A smaller share of a body's points says nothing of a hand: with a third of it, fingers of fists of which a
+# fifth was seen were laid elsewhere.
+_FEWEST = 3e-3
 # Root mean square distances of points and of what is outside of the scan: webs make up for 4 to 6 mm.
 _LOST = 6e-3
 # Phalanges of two fingers, side by side, lie 14 mm apart and more between their middles; nearer, they are in
 # one another, and each pair costs this part of the square that it is too near.
 _APART, _OVERLAP = 0.012, 0.5
+# Square metres, to divide by where a point lies on the hand and the rest at once.
+_NOWHERE = 1e-12
+# Root mean square depth of a hand in the rest of the body that no flesh gives way to.
+_DEEP = 8e-3
+# The part that the depth in the rest of the body has: with 1, fingers stretched into a thigh cost no more
+# than a fist on it of which a quarter is seen.
+_WITHIN = 3.0
+# So many poses go through solves where fingers are begun anew.
+_ANEW = 3
 # A search that leaves more than this share of the cost is not worth a solve.
 _WORTH = 0.8
 
@@ -59,20 +72,59 @@ class LostFingers:
             vector: parameters that fit; all but the fingers' stay.
             scan: its surface.
         """
-        best, found, fingers = self.cost, vector, [list(finger) for finger in self.search.fingers]
-        for joints in ([joint for finger in fingers for joint in finger], *fingers):
-            start = found
-            for candidate in self.search.poses:
-                posed = start.copy()
-                posed[fields.columns.pose].reshape(-1, 3)[joints] = candidate[joints]
-                cost = self.search.cost(fields.evaluated(posed).vertices, self.points, scan)
-                if cost < best:
-                    best, found = cost, posed
-        return found if best < _WORTH * self.cost else None
+        every = [joint for finger in self.search.fingers for joint in finger]
+        cost, found = self._better(fields, vector, self.cost, every, scan)
+        cost, found = self._finger_by_finger(fields, found, cost, scan)
+        return found if cost < _WORTH * self.cost else None
 
-    def found(self, vertices: Float[np.ndarray, "V 3"], scan: ScanSurface) -> bool:
-        """Whether a posed surface explains much more of the hand."""
-        return self.search.cost(vertices, self.points, scan) < _WORTH * self.cost
+    def anew(
+        self, fields: ModelFields, vector: Float[np.ndarray, " Q"], scan: ScanSurface
+    ) -> list[Float[np.ndarray, " Q"]]:
+        """Parameters with all fingers begun anew, from the recorded poses that come nearest to the scan.
+
+        For hands that nothing has followed yet: fingers that took each other's places fit a scan better than
+        any recorded pose does, until that has gone through a solve of its own.
+
+        Args:
+            fields: of the model.
+            vector: parameters that fit; all but the fingers' stay.
+            scan: its surface.
+        """
+        every = [joint for finger in self.search.fingers for joint in finger]
+        tried = [self._posed(fields, vector, candidate, every, scan) for candidate in self.search.poses]
+        nearest = sorted(tried, key=lambda one: one[0])[:_ANEW]
+        return [self._finger_by_finger(fields, posed, cost, scan)[1] for cost, posed in nearest]
+
+    def _finger_by_finger(
+        self, fields: ModelFields, vector: Float[np.ndarray, " Q"], cost: float, scan: ScanSurface
+    ) -> tuple[float, Float[np.ndarray, " Q"]]:
+        for finger in self.search.fingers:
+            cost, vector = self._better(fields, vector, cost, list(finger), scan)
+        return cost, vector
+
+    def _better(
+        self, fields: ModelFields, vector: Float[np.ndarray, " Q"], cost: float, joints: list[int],
+        scan: ScanSurface,
+    ) -> tuple[float, Float[np.ndarray, " Q"]]:  # fmt: skip
+        """The best of all candidates for some joints, and of the parameters as they are."""
+        tried = (self._posed(fields, vector, candidate, joints, scan) for candidate in self.search.poses)
+        return min([(cost, vector), *tried], key=lambda one: one[0])
+
+    def _posed(
+        self, fields: ModelFields, vector: Float[np.ndarray, " Q"], candidate: Float[np.ndarray, "K 3"],
+        joints: list[int], scan: ScanSurface,
+    ) -> tuple[float, Float[np.ndarray, " Q"]]:  # fmt: skip
+        posed = vector.copy()
+        posed[fields.columns.pose].reshape(-1, 3)[joints] = candidate[joints]
+        return self.search.cost(fields.evaluated(posed).vertices, self.points, scan), posed
+
+    def found(self, cost: float) -> bool:
+        """Whether a cost is that of a surface which explains much more of the hand."""
+        return cost < _WORTH * self.cost
+
+    def cost_of(self, vertices: Float[np.ndarray, "V 3"], scan: ScanSurface) -> float:
+        """What a posed surface leaves unexplained of the hand."""
+        return self.search.cost(vertices, self.points, scan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,12 +133,15 @@ class FingerSearch:
 
     Attributes:
         hand: (V,) vertices of the hand.
+        rest: the skin of all that neither the hand nor its forearm carries, which no finger goes into;
+            None where there is none.
         phalanges: (15, V) shares of vertices in the middle of what each of the fingers' joints carries.
         fingers: joints of every finger, from the palm outwards.
         poses: (C, K, 3) candidates, radians, of the hand's joints: straight, and recorded ones.
     """
 
     hand: Bool[np.ndarray, " V"]
+    rest: MovingSurface | None
     phalanges: sp.csr_matrix
     fingers: tuple[tuple[int, ...], ...]
     poses: Float[np.ndarray, "C K 3"]
@@ -110,17 +165,35 @@ class FingerSearch:
         joints = [joint for finger in fingers for joint in finger]
         carried = (model.skinning_weights[:, joints] > 0.5).astype(float)
         phalanges = sp.csr_matrix((carried / np.maximum(carried.sum(axis=0), 1)).T)
-        return cls(hand, phalanges, tuple(map(tuple, fingers)), poses)
+        return cls(hand, _rest(model, block, hand), phalanges, tuple(map(tuple, fingers)), poses)
 
     def lost(
         self, vertices: Float[np.ndarray, "V 3"], points: Float[np.ndarray, "n 3"], scan: ScanSurface
     ) -> LostFingers | None:
         """What a posed hand leaves unexplained; None where all is well, or too little is seen of it."""
         own = self._own(vertices, points)
-        if len(own) < _FEWEST:
+        if not len(own) or (len(own) < _FEWEST * len(points) and self._within(vertices) <= _DEEP**2):
             return None
         cost = self.cost(vertices, own, scan)
         return LostFingers(self, own, cost) if cost > _LOST**2 else None
+
+    def own_shares(
+        self, vertices: Float[np.ndarray, "V 3"], points: Float[np.ndarray, "n 3"],
+        distances: Float[np.ndarray, " n"],
+    ) -> Float[np.ndarray, " n"]:  # fmt: skip
+        """How surely points nearest to the hand are the hand's, and not the thigh's that it passes: 0 to 1.
+
+        Where another person's thigh lies a centimetre off its model, thumbs were drawn out to it.
+
+        Args:
+            vertices: of the posed model.
+            points: nearest to the hand, metres.
+            distances: from it, metres.
+        """
+        if self.rest is None or not len(points):
+            return np.ones(len(points))
+        to_rest = self.rest.closest(vertices, points, None).distances ** 2
+        return to_rest / np.maximum(to_rest + distances**2, _NOWHERE)
 
     def _own(self, vertices: Float[np.ndarray, "V 3"], points: Float[np.ndarray, "n 3"]) -> np.ndarray:
         """Points about the hand that the rest of the body does not explain."""
@@ -136,14 +209,28 @@ class FingerSearch:
     def cost(
         self, vertices: Float[np.ndarray, "V 3"], points: Float[np.ndarray, "n 3"], scan: ScanSurface
     ) -> float:
-        """Mean square distances of points to the hand and of what of it is outside of the scan; overlaps."""
+        """Mean square distances of points to the hand, and of what of it is outside of the scan; overlaps.
+
+        Those are of fingers with each other, and of the hand with the rest of the body.
+        """
         hand = vertices[self.hand]
         away, _ = cKDTree(hand).query(points, distance_upper_bound=_FARTHEST)
         closest = scan.tree.closest(hand)
         outside = np.einsum("va,va->v", hand - closest.points, scan.normals[closest.faces]) > 0
         out = np.where(outside, np.minimum(closest.distances, _FARTHEST), 0.0)
         square = np.square(np.minimum(away, _FARTHEST)).mean() + np.square(out).mean()
-        return float(square + _OVERLAP * self._overlap(vertices))
+        return float(square + _WITHIN * self._within(vertices) + _OVERLAP * self._overlap(vertices))
+
+    def _within(self, vertices: Float[np.ndarray, "V 3"]) -> float:
+        """Mean square depth of the hand's vertices in the rest of the body."""
+        if self.rest is None:
+            return 0.0
+        hand = vertices[self.hand]
+        closest = self.rest.closest(vertices, hand, None)
+        normals = face_normals(vertices, self.rest.faces)[closest.faces]
+        inside = np.einsum("va,va->v", hand - closest.points, normals) < 0
+        inside &= ~self.rest.at_boundary(closest)
+        return float(np.square(np.where(inside, np.minimum(closest.distances, _FARTHEST), 0.0)).mean())
 
     def _overlap(self, vertices: Float[np.ndarray, "V 3"]) -> float:
         """Sum of squares by which phalanges of two fingers are too near."""
@@ -152,3 +239,10 @@ class FingerSearch:
         one, two = np.nonzero(finger[:, None] < finger)
         near = _APART - np.linalg.norm(middles[one] - middles[two], axis=1)
         return float(np.square(np.maximum(near, 0)).sum())
+
+
+def _rest(model: SurfaceModel, block: PoseBlock, hand: Bool[np.ndarray, " V"]) -> MovingSurface | None:
+    """The skin of all but a hand and its forearm."""
+    arm = hand | (model.skinning_weights[:, list(joints_above(model, block)[:2])].sum(axis=1) > 0.1)
+    faces = model.faces[~arm[model.faces].any(axis=1)]
+    return MovingSurface(model.template, faces) if len(faces) else None

@@ -116,18 +116,20 @@ def _carried(model: SurfaceModel, joints: Sequence[int]) -> Bool[np.ndarray, " F
 
 
 def chosen_points(
-    points: FramePoints, closest: ClosestPoints, hands: Bool[np.ndarray, " F"], options: TrackingOptions
-) -> tuple[FramePoints, Float[np.ndarray, " n"]]:
+    points: FramePoints, closest: ClosestPoints, hands: Bool[np.ndarray, " F"],
+    own: Float[np.ndarray, " n"], options: TrackingOptions,
+) -> tuple[FramePoints, Float[np.ndarray, " m"]]:  # fmt: skip
     """All points on the hands and some of the others, with weights.
 
-    The others weigh more where fewer of them are taken, so that body and hands stay in proportion.
+    The others weigh more where fewer of them are taken, so that body and hands stay in proportion; those on
+    hands less, as ``own`` says, where they may be another part's.
     """
     on_hand = hands[closest.faces]
     others = np.flatnonzero(~on_hand)
     picked = others[: options.body_points]
     weight = len(others) / max(len(picked), 1) * options.body_points / options.samples
     kept = np.concatenate([picked, np.flatnonzero(on_hand)])
-    weights = np.where(on_hand[kept], options.hand_weight, weight)
+    weights = np.where(on_hand[kept], options.hand_weight * own[kept], weight)
     normals = None if points.normals is None else points.normals[kept]
     return FramePoints(points.positions[kept], normals, points.area_per_point), weights
 

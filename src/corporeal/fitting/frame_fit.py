@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from corporeal.fitting.arm_search import ArmSearch
-from corporeal.fitting.finger_search import FingerSearch, LostFingers
+from corporeal.fitting.finger_search import FingerSearch
 from corporeal.fitting.frame_data import FramePoints, HandFaces, chosen_points, joints_above, seen_shares
 from corporeal.fitting.free_vertices import coupled_vertices
 from corporeal.fitting.options import AnnealingStep, FreeStage, TrackingOptions
@@ -181,21 +181,47 @@ class FrameFitter:
                     return found
         return []
 
-    def lost_fingers(
-        self,
-        points: FramePoints,
-        vector: Float[np.ndarray, " Q"],
-        scan: ScanSurface,
-        asked: Bool[np.ndarray, " H"],
-    ) -> list[LostFingers]:
-        """Hands, of those asked, whose fingers do not lie in a frame's points and surface."""
-        vertices = self.fields.evaluated(vector).vertices
-        lost = (
-            search.lost(vertices, points.positions, scan)
-            for search, wanted in zip(self._fingers, asked, strict=True)
-            if wanted
-        )
-        return [one for one in lost if one is not None]
+    def with_fingers(
+        self, points: FramePoints, vector: Float[np.ndarray, " Q"], start: FrameStart,
+        asked: Bool[np.ndarray, " H"], anew: Bool[np.ndarray, " H"],
+    ) -> Float[np.ndarray, " Q"]:  # fmt: skip
+        """The parameters with fingers that had lost their scan found again, where they are.
+
+        Args:
+            points: of the frame.
+            vector: parameters that fit it.
+            start: what it was fitted from; without a scan's surface no fingers are looked for.
+            asked: hands whose fingers may be looked for.
+            anew: of these, hands whose fingers are also begun anew.
+        """
+        scan, options = start.back, self.options
+        if scan is None or not options.find_fingers or options.hands == "flat":
+            return vector
+        for search, wanted, fresh in zip(self._fingers, asked, anew, strict=True):
+            lost = None
+            if wanted:
+                lost = search.lost(self.fields.evaluated(vector).vertices, points.positions, scan)
+            if lost is None:
+                continue
+            sought = lost.sought(self.fields, vector, scan)
+            begins = [] if sought is None else [(sought, options.annealing[-1:])]
+            if fresh:
+                begins += [(begin, options.first) for begin in lost.anew(self.fields, vector, scan)]
+            solved = [self._from_fingers(points, start, begin, steps) for begin, steps in begins]
+            costs = [lost.cost_of(self.fields.evaluated(one).vertices, scan) for one in solved]
+            if costs and lost.found(min(costs)):
+                vector = solved[int(np.argmin(costs))]
+        return vector
+
+    def _from_fingers(
+        self, points: FramePoints, start: FrameStart, begin: Float[np.ndarray, " Q"],
+        steps: tuple[AnnealingStep, ...],
+    ) -> Float[np.ndarray, " Q"]:  # fmt: skip
+        """A frame solved again with other fingers; as it began where that leads nowhere."""
+        held = self.fields.parameters(begin).pose
+        solution = self.fit(points, replace(start, vector=begin, previous=held, first=False), steps)
+        found = solution.state.parameters
+        return found if solution.outcome.usable and np.isfinite(found).all() else begin
 
     def unseen_hands(self, measures: FrameMeasures) -> Bool[np.ndarray, " H"]:
         """Hands of which so little is seen that they may be missing."""
@@ -237,7 +263,8 @@ class FrameFitter:
         distance = DistanceOptions(sigma, step.robust_scale, _TANGENTIAL, cosine)
         vertices = self.fields.evaluated(vector).vertices
         closest = self.surface.closest(vertices, points.positions, None)
-        near, shares = chosen_points(points, closest, self.on_hands, options)
+        own = self._own_shares(points, closest, vertices)
+        near, shares = chosen_points(points, closest, self.on_hands, own, options)
         terms: list[Term] = [
             ScanToSurface("scan", MODEL, self.surface, near.positions, shares, near.normals, distance)
         ]
@@ -260,6 +287,16 @@ class FrameFitter:
             self.model, columns, options, step.weight,
             previous=start.previous, body_prior=held, pull=self._pull(start, unseen),
         )  # fmt: skip
+
+    def _own_shares(
+        self, points: FramePoints, closest: ClosestPoints, vertices: Float[np.ndarray, "V 3"]
+    ) -> Float[np.ndarray, " n"]:
+        """How surely every point nearest to a hand is the hand's; 1 for all others."""
+        share = np.ones(len(points.positions))
+        for search, mask in zip(self._fingers, self.hands.masks.values(), strict=True):
+            own = np.flatnonzero(mask[closest.faces])
+            share[own] = search.own_shares(vertices, points.positions[own], closest.distances[own])
+        return share
 
     def _pull(self, start: FrameStart, unseen: list[_Arm]) -> Float[np.ndarray, " K"]:
         """Factors on the pull of every joint to its last pose."""

@@ -15,7 +15,9 @@ from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation, Slerp
 
 from corporeal.fitting.frame_data import forearm_of, joints_above
+from corporeal.fitting.gap_regression import SeenMotion
 from corporeal.fitting.pose_terms import is_hand
+from corporeal.model.statistics import PoseBlock
 from corporeal.model.surface_model import SurfaceModel
 
 # A part of which no more than this share is confirmed by scan may be missing; one of which nothing is, is.
@@ -61,7 +63,8 @@ def bridged(model: SurfaceModel, frames: Sequence[SeenPose], fps: float) -> list
     """The poses of a sequence, those of arms that were out of sight laid between those before and after.
 
     Of a hand alone, wrist and fingers; where the forearm is missing too, the elbow and the turn of the upper
-    arm about itself. Joints go the shortest way at a steady rate. An arm that never comes back, or not within
+    arm about itself. Fingers go the shortest way at a steady rate; the others as they went with the rest of
+    the body, and with time, while they were seen. An arm that never comes back, or not within
     60 frames, stays as it was tracked. Fingers that turn faster than 900 degrees per second set out earlier.
     All else stays.
 
@@ -73,18 +76,10 @@ def bridged(model: SurfaceModel, frames: Sequence[SeenPose], fps: float) -> list
     poses = np.array([frame.pose for frame in frames])
     hands: list[list[str]] = [[] for _ in frames]
     for block in model.pose_blocks:
-        above = joints_above(model, block) if is_hand(block) else ()
-        if len(above) < 3 or not frames:
-            continue
-        wrist, elbow, shoulder = above[:3]
-        seen = _shares(frames, block.name)
-        for first, after in _gaps(seen):
-            _bridge(poses, first, after, (wrist, *block.joints))
-            for names in hands[first:after]:
-                names.append(block.name)
-        for first, after in _gaps(np.maximum(seen, _shares(frames, forearm_of(block.name)))):
-            _bridge(poses, first, after, (elbow,))
-            _bridge_twist(poses[first - 1 : after + 1, shoulder], _bone(model, shoulder, elbow))
+        if is_hand(block) and len(joints_above(model, block)) >= 3 and frames:
+            for first, after in _bridge_arm(model, block, frames, poses, fps):
+                for names in hands[first:after]:
+                    names.append(block.name)
     for number, frame in enumerate(frames):
         if not frame.tracked:
             poses[number], hands[number] = frame.pose, []
@@ -117,23 +112,66 @@ def _gaps(seen: Float[np.ndarray, " N"]) -> list[tuple[int, int]]:
     return gaps
 
 
+def _bridge_arm(
+    model: SurfaceModel, block: PoseBlock, frames: Sequence[SeenPose], poses: Float[np.ndarray, "N K 3"],
+    fps: float,
+) -> list[tuple[int, int]]:  # fmt: skip
+    """Lay one arm through its gaps, in place; gives those of its hand."""
+    wrist, elbow, shoulder = joints_above(model, block)[:3]
+    hand = _shares(frames, block.name)
+    forearm = np.maximum(hand, _shares(frames, forearm_of(block.name)))
+    bone = _bone(model, shoulder, elbow)
+    gaps = _gaps(forearm)
+    if gaps:
+        motion = SeenMotion.of_angles(_rest_of_pose(model, poses, shoulder, bone), forearm > _HARDLY, fps)
+        turns = poses[:, shoulder].copy()
+        twists = _twists(turns, bone)
+        for first, after in gaps:
+            poses[first:after, elbow] = motion.turns_told(poses[:, elbow], first, after)
+            # The upper arm itself is seen, but not how it is turned about itself.
+            change = motion.told(twists[:, None], first, after)[:, 0] - twists[first:after]
+            twisted = Rotation.from_rotvec(turns[first:after]) * Rotation.from_rotvec(change[:, None] * bone)
+            poses[first:after, shoulder] = twisted.as_rotvec()
+    gaps = _gaps(hand)
+    if gaps:
+        angles = np.hstack([_rest_of_pose(model, poses, shoulder, bone), _from_mean(poses[:, elbow])])
+        motion = SeenMotion.of_angles(angles, hand > _HARDLY, fps)
+        for first, after in gaps:
+            poses[first:after, wrist] = motion.turns_told(poses[:, wrist], first, after)
+            _bridge(poses, first, after, block.joints)
+    return gaps
+
+
+def _rest_of_pose(
+    model: SurfaceModel, poses: Float[np.ndarray, "N K 3"], shoulder: int, bone: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "N a"]:
+    """What an arm swings with, radians: where its upper arm points to, its collar bone, trunk and legs."""
+    hands = [block for block in model.pose_blocks if is_hand(block)]
+    arms = {joint for hand in hands for joint in joints_above(model, hand)[:4]}
+    body = {joint for block in model.pose_blocks if block.name == "body" for joint in block.joints}
+    collar = int(model.parents[shoulder])
+    angles = [Rotation.from_rotvec(poses[:, shoulder]).apply(bone), _from_mean(poses[:, collar])]
+    # Of the trunk and the legs half, or all of them together would outweigh the arm's own.
+    angles += [0.5 * _from_mean(poses[:, joint]) for joint in sorted(body - arms - {0})]
+    return np.hstack(angles)
+
+
+def _from_mean(turns: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
+    rotations = Rotation.from_rotvec(turns)
+    return (rotations.mean().inv() * rotations).as_rotvec()
+
+
+def _twists(turns: Float[np.ndarray, "N 3"], bone: Float[np.ndarray, "3"]) -> Float[np.ndarray, " N"]:
+    """How far a limb is turned about itself, radians, without leaps."""
+    quaternions = Rotation.from_rotvec(turns).as_quat()
+    return np.unwrap(2 * np.arctan2(quaternions[:, :3] @ bone, quaternions[:, 3]))
+
+
 def _bridge(poses: Float[np.ndarray, "N K 3"], first: int, after: int, joints: Sequence[int]) -> None:
-    """Lay joints between the frames around a gap, in place."""
+    """Lay joints the shortest way between the frames around a gap, in place."""
     for joint in joints:
         ends = Rotation.from_rotvec(poses[[first - 1, after], joint])
         poses[first:after, joint] = Slerp([first - 1, after], ends)(np.arange(first, after)).as_rotvec()
-
-
-def _bridge_twist(turns: Float[np.ndarray, "n 3"], bone: Float[np.ndarray, "3"]) -> None:
-    """Give a limb a steady twist from the first to the last of its turns, in place.
-
-    The upper arm itself is seen, but not how it is turned about itself.
-    """
-    rotations = Rotation.from_rotvec(turns)
-    quaternions = rotations.as_quat()
-    twists = np.unwrap(2 * np.arctan2(quaternions[:, :3] @ bone, quaternions[:, 3]))
-    steady = np.linspace(twists[0], twists[-1], len(twists))
-    turns[1:-1] = (rotations * Rotation.from_rotvec((steady - twists)[:, None] * bone)).as_rotvec()[1:-1]
 
 
 def _led(poses: Float[np.ndarray, "N K 3"], joints: Sequence[int], most: float) -> Bool[np.ndarray, " N"]:

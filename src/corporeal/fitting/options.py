@@ -137,7 +137,7 @@ class TrackingOptions:
     frame_free: FreeStage = FreeStage(coupling=5e3, robust_scale=0.03, passes=6)
     find_fingers: bool = True
     predict: bool = True
-    samples: int = 16_000
+    samples: int = 48_000
     body_points: int = 5_000
     hand_weight: float = 6.0
     hand_back: float = 1.5

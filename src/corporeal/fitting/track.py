@@ -198,25 +198,12 @@ class Tracker:
         if measures is None:
             return vector, measures, state.settling
         settling = np.where(self._fitter.unseen_hands(measures), _SETTLING, np.maximum(state.settling - 1, 0))
-        if back is not None and options.find_fingers and options.hands != "flat":
-            vector, measures = self._with_fingers(points, vector, measures, back, settling == 0)
+        # Begun anew in the first frame, and once a hand that was out of sight has settled.
+        anew = (settling == 0) & ((state.settling > 0) | (not state.fitted))
+        found = self._fitter.with_fingers(points, vector, start, settling == 0, anew)
+        if found is not vector:
+            vector, measures = found, self._fitter.measured(points, found)
         return vector, measures, settling
-
-    def _with_fingers(
-        self, points: FramePoints, vector: np.ndarray, measures: FrameMeasures, back: ScanSurface,
-        hands: Bool[np.ndarray, " H"],
-    ) -> tuple[np.ndarray, FrameMeasures]:  # fmt: skip
-        """A frame's parameters with fingers that had lost their scan found again, where they are."""
-        fields, steps = self._fitter.fields, self.options.annealing[-1:]
-        for lost in self._fitter.lost_fingers(points, vector, back, hands):
-            begin = lost.sought(fields, vector, back)
-            if begin is None:
-                continue
-            start = FrameStart(begin, fields.parameters(begin).pose, back=back)
-            again, other = self._tried(points, start, steps)
-            if other is not None and lost.found(fields.evaluated(again).vertices, back):
-                vector, measures = again, other
-        return vector, measures
 
     def _elsewhere(
         self, points: FramePoints, vector: np.ndarray, measures: FrameMeasures | None
