@@ -66,7 +66,7 @@ def measured(sequence: Path, tracked: Path, variant: str, count: int) -> Score:
         for name in names:
             scan = read_scan(sequence / "scans" / f"{name}.ply", "mm", BODY.extent)
             write_frame(frame_path(again, name), FrameRecord(tracker.step(scan, name), tracker.state))
-        bridge_records(again, names, template.model, FPS)
+        bridge_records(again, names, template.model, FPS, {})
         return scored(sequence, again, 1)
 
 

@@ -150,15 +150,15 @@ def test_records_are_bridged_alike_however_often(body, rng, tmp_path):
         found = TrackedFrame(name, "ok", "", frame.pose, np.zeros(3), None, {}, dict(frame.signals))
         write_frame(frame_path(tmp_path, name), FrameRecord(found, state))
     # As far as an interrupted run came: the gap is still open.
-    assert bridge_records(tmp_path, names[:AFTER], body, FPS) == []
+    assert bridge_records(tmp_path, names[:AFTER], body, FPS, {}) == []
     changed = []
-    said = bridge_records(tmp_path, names, body, FPS, changed.append)
+    said = bridge_records(tmp_path, names, body, FPS, {}, changed.append)
     assert changed == names[FIRST:AFTER]
     assert said == [
         "left hand out of sight from 0004 to 0008: its pose there is laid between those before and after"
     ]
     first = [frame_path(tmp_path, name).read_bytes() for name in names]
-    assert bridge_records(tmp_path, names, body, FPS, changed.append) == said
+    assert bridge_records(tmp_path, names, body, FPS, {}, changed.append) == said
     assert changed == names[FIRST:AFTER]
     assert [frame_path(tmp_path, name).read_bytes() for name in names] == first
     expected = bridged(body, frames, FPS)
@@ -167,6 +167,29 @@ def test_records_are_bridged_alike_however_often(body, rng, tmp_path):
         np.testing.assert_array_equal(record.frame.pose, bridge.pose)
         assert ("left_hand_bridged" in record.frame.signals) == bool(bridge.hands)
     # The frames behind the gap are gone: what was bridged goes back to what was tracked.
-    assert bridge_records(tmp_path, names[:AFTER], body, FPS) == []
+    assert bridge_records(tmp_path, names[:AFTER], body, FPS, {}) == []
     for name, frame in zip(names[:AFTER], frames, strict=False):
         np.testing.assert_array_equal(read_frame(frame_path(tmp_path, name)).frame.pose, frame.pose)
+
+
+def test_fingers_found_later_are_in_the_records_that_need_them(body, rng, tmp_path):
+    frames, _, _ = _frames(body, rng)
+    names = [f"{number:04d}" for number in range(FRAMES)]
+    for name, frame in zip(names, frames, strict=True):
+        still = np.zeros_like(frame.pose)
+        state = TrackState(frame.pose, np.zeros(3), True, still, np.zeros(3), np.zeros(2, dtype=np.int64))
+        tracked = TrackedFrame(name, "ok", "", frame.pose, np.zeros(3), None, {}, dict(frame.signals))
+        write_frame(frame_path(tmp_path, name), FrameRecord(tracked, state))
+    finger = body.block("right_hand").joints[2]
+    found = {name: frames[number].pose.copy() for number, name in enumerate(names[:3])}
+    for pose in found.values():
+        pose[finger] += [0.0, 0.0, 0.1]
+    said = bridge_records(tmp_path, names, body, FPS, found)
+    assert said[1:] == ["fingers of the right hand in 3 frames are those that were found later"]
+    for number, name in enumerate(names):
+        frame = read_frame(frame_path(tmp_path, name)).frame
+        assert ("right_hand_found" in frame.signals) == (number < 3)
+        expected = frames[number].pose[finger] + (number < 3) * np.array([0.0, 0.0, 0.1])
+        np.testing.assert_allclose(frame.pose[finger], expected, atol=1e-9)
+    bridge_records(tmp_path, names, body, FPS, {})
+    assert "right_hand_found" not in read_frame(frame_path(tmp_path, names[0])).frame.signals

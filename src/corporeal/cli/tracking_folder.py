@@ -23,6 +23,7 @@ from corporeal.fitting.files import (
     read_frame,
     read_story,
 )
+from corporeal.fitting.found_fingers import FINGERS
 from corporeal.fitting.track import TrackState
 from corporeal.registration.session.files import SessionFolderError, file_stamps, sha256_of
 from corporeal.registration.session.lock import folder_lock
@@ -173,7 +174,7 @@ def remove_results(folder: Path) -> None:
     for pattern in (f"{FRAMES}/*.npz", f"{MESHES}/*.ply"):
         for path in folder.glob(pattern):
             path.unlink()
-    for name in (TRACK, ANIMATION, SHEET, REPORT, TEMPLATE, TEMPLATE_STORY):
+    for name in (TRACK, ANIMATION, SHEET, REPORT, FINGERS, TEMPLATE, TEMPLATE_STORY):
         (folder / name).unlink(missing_ok=True)
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numba
+import numpy as np
 import torch
 
 from corporeal.cli.tracking_folder import SHEET, mesh_path, remove_leftovers, resumed, waiting_lock
@@ -34,6 +35,7 @@ from corporeal.fitting.files import (
     update_story,
     write_frame,
 )
+from corporeal.fitting.found_fingers import found_fingers
 from corporeal.fitting.options import TrackingOptions
 from corporeal.fitting.subject_template import SubjectTemplate
 from corporeal.fitting.track import TrackedFrame, Tracker
@@ -146,15 +148,31 @@ class SequenceWorker:
             write_frame(frame_path(job.folder, frame.name), record)
             statuses[record.frame.status] += 1
             self._told(number, statuses)
-        self._step("bridging gaps")
-        names = [frame.name for frame in sequence.frames]
-        gaps = bridge_records(
-            job.folder, names, template.model, sequence.fps,
-            lambda name: mesh_path(job.folder, name).unlink(missing_ok=True),
-        )  # fmt: skip
+        gaps = self._mended(job, sequence, template)
         self._step("writing")
         sequence = dataclasses.replace(sequence, notes=(*sequence.notes, *gaps))
         return write_outputs(sequence, job.folder, template, self._setup.meshes, self._step)
+
+    def _mended(self, job: SequenceJob, sequence: ScanSequence, template: SubjectTemplate) -> list[str]:
+        """Mend in the records what only the whole sequence tells; sentences for the user."""
+        files = {frame.name: frame for frame in sequence.frames}
+        found: dict[str, np.ndarray] = {}
+        try:
+            found = found_fingers(
+                job.folder, list(files), template, job.options,
+                lambda name: read_frame_scan(files[name], self._setup.model, sequence.unit).scan,
+                lambda name: self._step(f"looking for fingers again: {name}"),
+            )  # fmt: skip
+        except (OSError, EOFError, TrackFileError):
+            raise
+        except Exception as error:
+            # All frames are tracked: what stumbles over them afterwards must not cost them.
+            self.tell({"note": f"fingers stay as they were tracked: {_internal(error)}"})
+        self._step("bridging gaps")
+        return bridge_records(
+            job.folder, list(files), template.model, sequence.fps, found,
+            lambda name: mesh_path(job.folder, name).unlink(missing_ok=True),
+        )  # fmt: skip
 
     def _frame(self, tracker: Tracker, frame: SequenceFrame, unit: UnitChoice) -> FrameRecord:
         begun = time.perf_counter()

@@ -177,6 +177,16 @@ class FingerSearch:
         cost = self.cost(vertices, own, scan)
         return LostFingers(self, own, cost) if cost > _LOST**2 else None
 
+    def tells(
+        self, ones: Float[np.ndarray, "V 3"], others: Float[np.ndarray, "V 3"],
+        points: Float[np.ndarray, "n 3"], scan: ScanSurface | None,
+    ) -> bool:  # fmt: skip
+        """Whether a scan shows enough of the hand to say that one posed surface is clearly better."""
+        own = np.unique(np.concatenate([self._own(ones, points), self._own(others, points)]), axis=0)
+        if scan is None or len(own) < _FEWEST * len(points) or self._within(others) > _DEEP**2:
+            return False
+        return self.cost(ones, own, scan) < _WORTH * self.cost(others, own, scan)
+
     def own_shares(
         self, vertices: Float[np.ndarray, "V 3"], points: Float[np.ndarray, "n 3"],
         distances: Float[np.ndarray, " n"],

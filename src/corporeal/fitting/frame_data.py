@@ -50,7 +50,7 @@ def frame_points(scan: Scan, options: TrackingOptions) -> FramePoints:
 
 @dataclass(frozen=True, eq=False)
 class FrameData:
-    """All that is kept of a frame's scan while others are fitted: two megabytes.
+    """All that is kept of a frame's scan while others are fitted: four megabytes.
 
     Attributes:
         name: of the frame.

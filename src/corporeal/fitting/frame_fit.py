@@ -223,6 +223,25 @@ class FrameFitter:
         found = solution.state.parameters
         return found if solution.outcome.usable and np.isfinite(found).all() else begin
 
+    def fingers_again(
+        self, points: FramePoints, tracked: Float[np.ndarray, " Q"], start: FrameStart, hand: str
+    ) -> Float[np.ndarray, " Q"] | None:
+        """The frame solved from other fingers of a hand; None where what was tracked is clearly better.
+
+        Args:
+            points: of the frame.
+            tracked: its parameters.
+            start: the same with the other fingers.
+            hand: the name of its block.
+        """
+        search = self._fingers[list(self.hands.masks).index(hand)]
+        solution = self.fit(points, start, self.options.annealing[-1:])
+        found = solution.state.parameters
+        if not (solution.outcome.usable and np.isfinite(found).all()):
+            return None
+        before, after = (self.fields.evaluated(vector).vertices for vector in (tracked, found))
+        return None if search.tells(before, after, points.positions, start.back) else found
+
     def unseen_hands(self, measures: FrameMeasures) -> Bool[np.ndarray, " H"]:
         """Hands of which so little is seen that they may be missing."""
         return np.array([measures.seen[f"{name}_seen"] <= _HAND_SEEN for name in self._arms], dtype=bool)

@@ -21,7 +21,7 @@ from corporeal.model.statistics import PoseBlock
 from corporeal.model.surface_model import SurfaceModel
 
 # A part of which no more than this share is confirmed by scan may be missing; one of which nothing is, is.
-_HARDLY, _NOTHING = 0.15, 0.02
+HARDLY_SEEN, NOT_SEEN = 0.15, 0.02
 # Frames: over a longer time a straight way means nothing.
 _LONGEST = 60
 # Degrees per second: no finger turns faster. The recorded ones that simulated people move reach 350.
@@ -96,17 +96,17 @@ def bridged(model: SurfaceModel, frames: Sequence[SeenPose], fps: float) -> list
 
 def _shares(frames: Sequence[SeenPose], part: str) -> Float[np.ndarray, " N"]:
     """A frame that failed tells nothing: it neither begins a gap nor ends one."""
-    return np.array([frame.signals[f"{part}_seen"] if frame.tracked else _HARDLY for frame in frames])
+    return np.array([frame.signals[f"{part}_seen"] if frame.tracked else HARDLY_SEEN for frame in frames])
 
 
 def _gaps(seen: Float[np.ndarray, " N"]) -> list[tuple[int, int]]:
     """First frame of every gap and the first after it; what is open at an end, or too long, is none."""
     gaps, first = [], None
     for number, share in enumerate(seen):
-        if share <= _HARDLY:
+        if share <= HARDLY_SEEN:
             first = number if first is None else first
             continue
-        if first and number - first <= _LONGEST and seen[first:number].min() <= _NOTHING:
+        if first and number - first <= _LONGEST and seen[first:number].min() <= NOT_SEEN:
             gaps.append((first, number))
         first = None
     return gaps
@@ -123,7 +123,7 @@ def _bridge_arm(
     bone = _bone(model, shoulder, elbow)
     gaps = _gaps(forearm)
     if gaps:
-        motion = SeenMotion.of_angles(_rest_of_pose(model, poses, shoulder, bone), forearm > _HARDLY, fps)
+        motion = SeenMotion.of_angles(_rest_of_pose(model, poses, shoulder, bone), forearm > HARDLY_SEEN, fps)
         turns = poses[:, shoulder].copy()
         twists = _twists(turns, bone)
         for first, after in gaps:
@@ -135,7 +135,7 @@ def _bridge_arm(
     gaps = _gaps(hand)
     if gaps:
         angles = np.hstack([_rest_of_pose(model, poses, shoulder, bone), _from_mean(poses[:, elbow])])
-        motion = SeenMotion.of_angles(angles, hand > _HARDLY, fps)
+        motion = SeenMotion.of_angles(angles, hand > HARDLY_SEEN, fps)
         for first, after in gaps:
             poses[first:after, wrist] = motion.turns_told(poses[:, wrist], first, after)
             _bridge(poses, first, after, block.joints)

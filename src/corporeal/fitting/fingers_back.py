@@ -1,0 +1,150 @@
+"""Fingers that were found after a while, followed back to when they were lost.
+
+While little is seen of a hand, a tracker holds wrong fingers as well as right ones. Once more is seen they
+are found elsewhere at once; a recorded sequence can then be gone through from there to its beginning, until
+the scan, where it shows enough of the hand, says that fingers were where they had been tracked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
+
+from corporeal.fitting.frame_data import frame_points
+from corporeal.fitting.frame_fit import FrameFitter, FrameStart, scan_surface
+from corporeal.fitting.gaps import HARDLY_SEEN, NOT_SEEN, SeenPose
+from corporeal.fitting.pose_terms import is_hand
+from corporeal.scans.scan import Scan
+
+# Radians to the next frame: recorded fingers turn by 6 degrees, found ones by more than this.
+_LEAP = np.deg2rad(15.0)
+# Within so many frames after it was found, a hand is taken where most of it is seen.
+_SETTLED = 30
+# Radians: nearer to what was tracked, fingers are the same.
+_SAME = np.deg2rad(5.0)
+
+
+@dataclass(frozen=True, eq=False)
+class TrackedSequence:
+    """What was tracked, and how to look again.
+
+    Attributes:
+        frames: poses and what was seen, in their order.
+        translations: (N, 3) metres.
+        scan_of: reads the scan of a frame's number; None where there is none.
+    """
+
+    frames: Sequence[SeenPose]
+    translations: Float[np.ndarray, "N 3"]
+    scan_of: Callable[[int], Scan | None]
+
+
+@dataclass(frozen=True, eq=False)
+class _FoundHand:
+    """A hand's block, its joints, the frame where its fingers were found, and where most of it is seen."""
+
+    name: str
+    joints: Int[np.ndarray, " J"]
+    found: int
+    best: int
+
+
+def fingers_back(
+    fitter: FrameFitter, sequence: TrackedSequence, on_frame: Callable[[int], None] | None = None
+) -> dict[int, Float[np.ndarray, "K 3"]]:
+    """The poses of the frames in which fingers belong elsewhere than they were tracked, by their numbers.
+
+    From where fingers turn by more than 15 degrees within a frame, their hand is followed back: each frame is
+    solved for with the fingers of the one after it, and they stay as they are found unless the scan shows
+    enough of the hand to say that the tracked ones explain it much better. That, fingers as they were
+    tracked, or a frame that failed ends it. Where the hand is out of sight they go on unchanged.
+
+    Args:
+        fitter: of the subject's model.
+        sequence: what was tracked.
+        on_frame: told the number of every frame that is looked at.
+    """
+    frames = sequence.frames
+    if not frames or not fitter.options.find_fingers:
+        return {}
+    tracked = np.array([frame.pose for frame in frames])
+    poses = tracked.copy()
+    for block in fitter.model.pose_blocks:
+        if not is_hand(block):
+            continue
+        joints = np.array(block.joints)
+        for found in _leaps(tracked[:, joints])[::-1].tolist():
+            if not len(_leaps(poses[found - 1 : found + 1, joints])):
+                continue  # gone back over already
+            hand = _FoundHand(block.name, joints, found, _best_seen(frames, block.name, found))
+            _follow(fitter, sequence, poses, hand, on_frame or (lambda number: None))
+    changed = np.flatnonzero((poses != tracked).any(axis=(1, 2)))
+    return {int(number): poses[number] for number in changed}
+
+
+def _leaps(turns: Float[np.ndarray, "N J 3"]) -> Int[np.ndarray, " n"]:
+    """Frames in which a joint stands elsewhere than in the one before."""
+    return np.flatnonzero(_apart(turns[:-1], turns[1:]) > _LEAP) + 1
+
+
+def _apart(ones: Float[np.ndarray, "N J 3"], others: Float[np.ndarray, "N J 3"]) -> Float[np.ndarray, " N"]:
+    """The largest angle between joints, radians."""
+    between = Rotation.from_rotvec(ones.reshape(-1, 3)).inv() * Rotation.from_rotvec(others.reshape(-1, 3))
+    return between.magnitude().reshape(ones.shape[:-1]).max(axis=-1)
+
+
+def _best_seen(frames: Sequence[SeenPose], hand: str, found: int) -> int:
+    """The frame after a hand was found that shows most of it, before it is out of sight again."""
+    best, most = found, 0.0
+    for number in range(found, min(found + _SETTLED, len(frames))):
+        share = _seen(frames[number], hand)
+        if share <= NOT_SEEN:
+            break
+        best, most = (number, share) if share > most else (best, most)
+    return best
+
+
+def _seen(frame: SeenPose, hand: str) -> float:
+    return frame.signals[f"{hand}_seen"] if frame.tracked else 0.0
+
+
+def _follow(
+    fitter: FrameFitter, sequence: TrackedSequence, poses: Float[np.ndarray, "N K 3"], hand: _FoundHand,
+    on_frame: Callable[[int], None],
+) -> None:  # fmt: skip
+    """Lay a hand's fingers back from where it is seen best, in place."""
+    joints = hand.joints
+    fingers = poses[hand.best, joints]
+    for number in range(hand.best - 1, -1, -1):
+        frame, before = sequence.frames[number], number < hand.found
+        if not frame.tracked:
+            return
+        if _seen(frame, hand.name) > HARDLY_SEEN:
+            on_frame(number)
+            again = _again(fitter, sequence, poses[number], number, hand, fingers)
+            if again is None and before:
+                return
+            fingers = poses[number, joints] if again is None else again
+            if before and _apart(fingers[None], frame.pose[None, joints])[0] < _SAME:
+                return
+        poses[number, joints] = fingers
+
+
+def _again(
+    fitter: FrameFitter, sequence: TrackedSequence, tracked: Float[np.ndarray, "K 3"], number: int,
+    hand: _FoundHand, fingers: Float[np.ndarray, "J 3"],
+) -> Float[np.ndarray, "J 3"] | None:  # fmt: skip
+    """A frame's fingers, solved for from those of the next; None where what was tracked is better."""
+    scan = sequence.scan_of(number)
+    if scan is None:
+        return None
+    points, back = frame_points(scan, fitter.options), scan_surface(scan)
+    pose = tracked.copy()
+    pose[hand.joints] = fingers
+    vector, begin = (np.concatenate([sequence.translations[number], one.ravel()]) for one in (tracked, pose))
+    found = fitter.fingers_again(points, vector, FrameStart(begin, pose, back=back), hand.name)
+    return None if found is None else fitter.fields.parameters(found).pose[hand.joints]
