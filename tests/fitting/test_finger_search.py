@@ -5,7 +5,7 @@ import pytest
 
 from corporeal.fitting.finger_search import FingerSearch
 from corporeal.fitting.frame_data import FramePoints, HandFaces
-from corporeal.fitting.frame_fit import FrameFitter, FrameStart
+from corporeal.fitting.frame_fit import FrameFitter, FrameStart, HandsAsked
 from corporeal.fitting.options import TrackingOptions
 from corporeal.geometry.closest_points import SurfaceTree
 from corporeal.geometry.normals import face_normals, vertex_normals
@@ -144,5 +144,7 @@ def test_fingers_that_took_each_others_places_are_begun_anew(body, search):
         return 1e3 * np.linalg.norm(vertices - true, axis=1)[search.hand].mean()
 
     assert off(vector) > 15
-    assert off(fitter.with_fingers(points, vector, start, hands, hands)) < 1
-    np.testing.assert_array_equal(fitter.with_fingers(points, vector, start, none, none), vector)
+    asked = HandsAsked(hands, hands, none, pose)
+    assert off(fitter.with_fingers(points, vector, start, asked)) < 1
+    nothing = HandsAsked(none, none, none, pose)
+    np.testing.assert_array_equal(fitter.with_fingers(points, vector, start, nothing), vector)

@@ -12,6 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from corporeal.fitting.frame_data import joints_above
 from corporeal.geometry.normals import face_normals
@@ -40,6 +41,8 @@ _DEEP = 8e-3
 # The part that the depth in the rest of the body has: with 1, fingers stretched into a thigh cost no more
 # than a fist on it of which a quarter is seen.
 _WITHIN = 3.0
+# Degrees about the forearm by which a hand that is back may be turned otherwise.
+_TURNS = (-45.0, 0.0, 45.0)
 # So many poses go through solves where fingers are begun anew.
 _ANEW = 3
 # A search that leaves more than this share of the cost is not worth a solve.
@@ -95,6 +98,34 @@ class LostFingers:
         nearest = sorted(tried, key=lambda one: one[0])[:_ANEW]
         return [self._finger_by_finger(fields, posed, cost, scan)[1] for cost, posed in nearest]
 
+    def turned(
+        self, fields: ModelFields, vector: Float[np.ndarray, " Q"], before: Float[np.ndarray, "K 3"]
+    ) -> list[Float[np.ndarray, " Q"]]:
+        """Parameters with the hand as it was before it was out of sight, and as it is, turned both ways.
+
+        For hands that are back: how the forearm has been turned in between nobody saw, and a hand laid into
+        its scan the wrong way round stays so.
+
+        Args:
+            fields: of the model.
+            vector: parameters that fit; all but the fingers' and the wrist's stay.
+            before: (K, 3) the last pose, radians.
+        """
+        wrist, forearm = self.search.wrist, self.search.forearm
+        if wrist is None or forearm is None:
+            return []
+        joints = [wrist, *(joint for finger in self.search.fingers for joint in finger)]
+        begins = []
+        for pose in (before, vector[fields.columns.pose].reshape(-1, 3)):
+            for angle in _TURNS:
+                begin = vector.copy()
+                turns = begin[fields.columns.pose].reshape(-1, 3)
+                turns[joints] = pose[joints]
+                about = Rotation.from_rotvec(np.deg2rad(angle) * forearm)
+                turns[wrist] = (about * Rotation.from_rotvec(pose[wrist])).as_rotvec()
+                begins.append(begin)
+        return begins
+
     def _finger_by_finger(
         self, fields: ModelFields, vector: Float[np.ndarray, " Q"], cost: float, scan: ScanSurface
     ) -> tuple[float, Float[np.ndarray, " Q"]]:
@@ -138,6 +169,8 @@ class FingerSearch:
         phalanges: (15, V) shares of vertices in the middle of what each of the fingers' joints carries.
         fingers: joints of every finger, from the palm outwards.
         poses: (C, K, 3) candidates, radians, of the hand's joints: straight, and recorded ones.
+        wrist: joint that the hand hangs on, and
+        forearm: (3,) the direction that leads to it at the zero pose; None where the model has none.
     """
 
     hand: Bool[np.ndarray, " V"]
@@ -145,6 +178,8 @@ class FingerSearch:
     phalanges: sp.csr_matrix
     fingers: tuple[tuple[int, ...], ...]
     poses: Float[np.ndarray, "C K 3"]
+    wrist: int | None = None
+    forearm: Float[np.ndarray, "3"] | None = None
 
     @classmethod
     def of_block(cls, model: SurfaceModel, block: PoseBlock, faces: Bool[np.ndarray, " F"]) -> FingerSearch:
@@ -165,14 +200,30 @@ class FingerSearch:
         joints = [joint for finger in fingers for joint in finger]
         carried = (model.skinning_weights[:, joints] > 0.5).astype(float)
         phalanges = sp.csr_matrix((carried / np.maximum(carried.sum(axis=0), 1)).T)
-        return cls(hand, _rest(model, block, hand), phalanges, tuple(map(tuple, fingers)), poses)
+        wrist, forearm = None, None
+        above = joints_above(model, block)
+        if len(above) > 1:
+            places = model.joint_regressor @ model.template
+            wrist, along = above[0], places[above[0]] - places[above[1]]
+            forearm = along / np.linalg.norm(along)
+        chains = tuple(map(tuple, fingers))
+        return cls(hand, _rest(model, block, hand), phalanges, chains, poses, wrist, forearm)
 
     def lost(
-        self, vertices: Float[np.ndarray, "V 3"], points: Float[np.ndarray, "n 3"], scan: ScanSurface
-    ) -> LostFingers | None:
-        """What a posed hand leaves unexplained; None where all is well, or too little is seen of it."""
+        self, vertices: Float[np.ndarray, "V 3"], points: Float[np.ndarray, "n 3"], scan: ScanSurface,
+        *, however_little: bool = False,
+    ) -> LostFingers | None:  # fmt: skip
+        """What a posed hand leaves unexplained; None where all is well, or too little is seen of it.
+
+        Args:
+            vertices: of the posed model.
+            points: of the frame, metres.
+            scan: its surface.
+            however_little: whether it matters how much is seen.
+        """
         own = self._own(vertices, points)
-        if not len(own) or (len(own) < _FEWEST * len(points) and self._within(vertices) <= _DEEP**2):
+        little = len(own) < _FEWEST * len(points) and not however_little
+        if not len(own) or (little and self._within(vertices) <= _DEEP**2):
             return None
         cost = self.cost(vertices, own, scan)
         return LostFingers(self, own, cost) if cost > _LOST**2 else None

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from corporeal.fitting.arm_search import ArmSearch
-from corporeal.fitting.finger_search import FingerSearch
+from corporeal.fitting.finger_search import FingerSearch, LostFingers
 from corporeal.fitting.frame_data import FramePoints, HandFaces, chosen_points, joints_above, seen_shares
 from corporeal.fitting.free_vertices import coupled_vertices
 from corporeal.fitting.options import AnnealingStep, FreeStage, TrackingOptions
@@ -61,6 +61,23 @@ class FrameStart:
     back: ScanSurface | None = None
     shape: Float[np.ndarray, " s"] | None = None
     shapes: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class HandsAsked:
+    """Which hands' fingers are looked for in a frame.
+
+    Attributes:
+        settled: hands that nothing speaks against.
+        anew: of these, those whose fingers are also begun anew.
+        back: hands that were out of sight in the last frame: they are turned about their forearm as well.
+        before: the last pose, of hands that are back.
+    """
+
+    settled: Bool[np.ndarray, " H"]
+    anew: Bool[np.ndarray, " H"]
+    back: Bool[np.ndarray, " H"]
+    before: Float[np.ndarray, "K 3"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,36 +199,52 @@ class FrameFitter:
         return []
 
     def with_fingers(
-        self, points: FramePoints, vector: Float[np.ndarray, " Q"], start: FrameStart,
-        asked: Bool[np.ndarray, " H"], anew: Bool[np.ndarray, " H"],
-    ) -> Float[np.ndarray, " Q"]:  # fmt: skip
+        self, points: FramePoints, vector: Float[np.ndarray, " Q"], start: FrameStart, asked: HandsAsked
+    ) -> Float[np.ndarray, " Q"]:
         """The parameters with fingers that had lost their scan found again, where they are.
 
         Args:
             points: of the frame.
             vector: parameters that fit it.
             start: what it was fitted from; without a scan's surface no fingers are looked for.
-            asked: hands whose fingers may be looked for.
-            anew: of these, hands whose fingers are also begun anew.
+            asked: which hands' fingers may be looked for, and how.
         """
-        scan, options = start.back, self.options
-        if scan is None or not options.find_fingers or options.hands == "flat":
+        options = self.options
+        if start.back is None or not options.find_fingers or options.hands == "flat":
             return vector
-        for search, wanted, fresh in zip(self._fingers, asked, anew, strict=True):
-            lost = None
-            if wanted:
-                lost = search.lost(self.fields.evaluated(vector).vertices, points.positions, scan)
+        for hand, search in enumerate(self._fingers):
+            if not (asked.settled[hand] or asked.back[hand]):
+                continue
+            lost = search.lost(
+                self.fields.evaluated(vector).vertices, points.positions, start.back,
+                however_little=bool(asked.back[hand]),
+            )  # fmt: skip
             if lost is None:
                 continue
-            sought = lost.sought(self.fields, vector, scan)
-            begins = [] if sought is None else [(sought, options.annealing[-1:])]
-            if fresh:
-                begins += [(begin, options.first) for begin in lost.anew(self.fields, vector, scan)]
+            begins = self._begins(lost, vector, start.back, asked, hand)
             solved = [self._from_fingers(points, start, begin, steps) for begin, steps in begins]
-            costs = [lost.cost_of(self.fields.evaluated(one).vertices, scan) for one in solved]
+            costs = [lost.cost_of(self.fields.evaluated(one).vertices, start.back) for one in solved]
             if costs and lost.found(min(costs)):
                 vector = solved[int(np.argmin(costs))]
         return vector
+
+    def _begins(
+        self,
+        lost: LostFingers,
+        vector: Float[np.ndarray, " Q"],
+        scan: ScanSurface,
+        asked: HandsAsked,
+        hand: int,
+    ) -> list[tuple[Float[np.ndarray, " Q"], tuple[AnnealingStep, ...]]]:
+        """Where solves for a hand's fingers begin, and by which steps."""
+        options = self.options
+        if asked.back[hand]:
+            return [(begin, options.first) for begin in lost.turned(self.fields, vector, asked.before)]
+        sought = lost.sought(self.fields, vector, scan)
+        begins = [] if sought is None else [(sought, options.annealing[-1:])]
+        if asked.anew[hand]:
+            begins += [(begin, options.first) for begin in lost.anew(self.fields, vector, scan)]
+        return begins
 
     def _from_fingers(
         self, points: FramePoints, start: FrameStart, begin: Float[np.ndarray, " Q"],

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from corporeal.fitting.frame_data import FramePoints, frame_points
-from corporeal.fitting.frame_fit import FrameFitter, FrameMeasures, FrameStart, scan_surface
+from corporeal.fitting.frame_fit import FrameFitter, FrameMeasures, FrameStart, HandsAsked, scan_surface
 from corporeal.fitting.options import TrackingBounds, TrackingOptions
 from corporeal.fitting.pose_terms import is_hand
 from corporeal.fitting.subject_template import SubjectTemplate
@@ -197,10 +197,13 @@ class Tracker:
                     break
         if measures is None:
             return vector, measures, state.settling
-        settling = np.where(self._fitter.unseen_hands(measures), _SETTLING, np.maximum(state.settling - 1, 0))
+        unseen = self._fitter.unseen_hands(measures)
+        settling = np.where(unseen, _SETTLING, np.maximum(state.settling - 1, 0))
         # Begun anew in the first frame, and once a hand that was out of sight has settled.
         anew = (settling == 0) & ((state.settling > 0) | (not state.fitted))
-        found = self._fitter.with_fingers(points, vector, start, settling == 0, anew)
+        returned = (state.settling == _SETTLING) & ~unseen
+        asked = HandsAsked(settling == 0, anew, returned, state.pose)
+        found = self._fitter.with_fingers(points, vector, start, asked)
         if found is not vector:
             vector, measures = found, self._fitter.measured(points, found)
         return vector, measures, settling
