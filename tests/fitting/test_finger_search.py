@@ -148,3 +148,26 @@ def test_fingers_that_took_each_others_places_are_begun_anew(body, search):
     assert off(fitter.with_fingers(points, vector, start, asked)) < 1
     nothing = HandsAsked(none, none, none, pose)
     np.testing.assert_array_equal(fitter.with_fingers(points, vector, start, nothing), vector)
+
+
+@pytest.mark.slow
+def test_a_hand_that_is_back_turned_about_its_forearm_is_righted(body, search):
+    fitter = FrameFitter(body, TrackingOptions())
+    fields, pose = fitter.fields, np.zeros((body.joint_count, 3))
+    true = fields.evaluated(_vector(body, pose)).vertices
+    points = FramePoints(true, vertex_normals(true, body.faces), 1e-4)
+    before = pose.copy()
+    before[body.joint_names.index("right_wrist"), 0] = np.deg2rad(85)
+    start = FrameStart(_vector(body, before), first=True, back=_scan(body, true))
+    vector = fitter.fit(points, start, fitter.options.first).state.parameters
+    hands, none = np.array([False, True]), np.zeros(2, dtype=bool)
+
+    def off(parameters):
+        vertices = fields.evaluated(parameters).vertices
+        return 1e3 * np.linalg.norm(vertices - true, axis=1)[search.hand].mean()
+
+    assert off(vector) > 15
+    assert off(fitter.with_fingers(points, vector, start, HandsAsked(none, none, hands, before))) < 1
+    alone = open_model("hand")
+    faces = HandFaces.of_model(alone).masks["hand"]
+    assert FingerSearch.of_block(alone, alone.block("hand"), faces).forearm is None
