@@ -252,9 +252,15 @@ class FrameFitter:
     ) -> Float[np.ndarray, " Q"]:  # fmt: skip
         """A frame solved again with other fingers; as it began where that leads nowhere."""
         held = self.fields.parameters(begin).pose
-        solution = self.fit(points, replace(start, vector=begin, previous=held, first=False), steps)
+        found = self._solved(points, replace(start, vector=begin, previous=held, first=False), steps)
+        return begin if found is None else found
+
+    def _solved(
+        self, points: FramePoints, start: FrameStart, steps: tuple[AnnealingStep, ...]
+    ) -> Float[np.ndarray, " Q"] | None:
+        solution = self.fit(points, start, steps)
         found = solution.state.parameters
-        return found if solution.outcome.usable and np.isfinite(found).all() else begin
+        return found if solution.outcome.usable and np.isfinite(found).all() else None
 
     def fingers_again(
         self, points: FramePoints, tracked: Float[np.ndarray, " Q"], start: FrameStart, hand: str
@@ -268,9 +274,8 @@ class FrameFitter:
             hand: the name of its block.
         """
         search = self._fingers[list(self.hands.masks).index(hand)]
-        solution = self.fit(points, start, self.options.annealing[-1:])
-        found = solution.state.parameters
-        if not (solution.outcome.usable and np.isfinite(found).all()):
+        found = self._solved(points, start, self.options.annealing[-1:])
+        if found is None:
             return None
         before, after = (self.fields.evaluated(vector).vertices for vector in (tracked, found))
         return None if search.tells(before, after, points.positions, start.back) else found
