@@ -28,7 +28,9 @@ _PATH = Path(__file__).with_name("made_sequence.py")
 _SPEC = importlib.util.spec_from_file_location("made_sequence", _PATH)
 made = importlib.util.module_from_spec(_SPEC)
 _SPEC.loader.exec_module(made)
-_NAMES = ["frames", "report.json", "sheet.png", "template.json", "template.npz", "track.glb", "track.npz"]
+_NAMES = [
+    "fingers.npz", "frames", "report.json", "sheet.png", "template.json", "template.npz", "track.glb", "track.npz"
+]  # fmt: skip
 
 
 @pytest.fixture(scope="module")

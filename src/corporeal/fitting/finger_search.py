@@ -47,6 +47,9 @@ _TURNS = (-45.0, 0.0, 45.0)
 _ANEW = 3
 # A search that leaves more than this share of the cost is not worth a solve.
 _WORTH = 0.8
+# Hands that had come back the wrong way round cost a tenth as much once they were righted; one that was found
+# at half the cost lay the wrong way round then.
+_WORTH_TURNING = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,9 +152,9 @@ class LostFingers:
         posed[fields.columns.pose].reshape(-1, 3)[joints] = candidate[joints]
         return self.search.cost(fields.evaluated(posed).vertices, self.points, scan), posed
 
-    def found(self, cost: float) -> bool:
-        """Whether a cost is that of a surface which explains much more of the hand."""
-        return cost < _WORTH * self.cost
+    def found(self, cost: float, *, turned: bool = False) -> bool:
+        """Whether a cost is that of a surface which explains much more of the hand, or, turned, far more."""
+        return cost < (_WORTH_TURNING if turned else _WORTH) * self.cost
 
     def cost_of(self, vertices: Float[np.ndarray, "V 3"], scan: ScanSurface) -> float:
         """What a posed surface leaves unexplained of the hand."""

@@ -224,7 +224,7 @@ class FrameFitter:
             begins = self._begins(lost, vector, start.back, asked, hand)
             solved = [self._from_fingers(points, start, begin, steps) for begin, steps in begins]
             costs = [lost.cost_of(self.fields.evaluated(one).vertices, start.back) for one in solved]
-            if costs and lost.found(min(costs)):
+            if costs and lost.found(min(costs), turned=bool(asked.back[hand])):
                 vector = solved[int(np.argmin(costs))]
         return vector
 
