@@ -53,14 +53,19 @@ hand-joints: $(VENV)/.demo
 # They share the cores: a second BLAS thread each costs more than it saves.
 test numpy2: export OPENBLAS_NUM_THREADS := 1
 test numpy2: export OMP_NUM_THREADS := 1
-test: lint
+# Both environments are installed at once: that is mostly waiting.
+test:
+	$(MAKE) --no-print-directory -j2 $(VENV)/.test $(VENV2)/.test
+	$(MAKE) --no-print-directory lint
 	$(BIN)/python -m pytest -q -n auto --dist worksteal
 	$(MAKE) --no-print-directory numpy2
 
 # The detector's wheel holds numpy at 1.26; without it the newest numpy is used, and must work as well. Tests
-# marked slow (over five seconds: browsers, kills, whole sessions, examples) run once, above.
+# marked slow (over five seconds: browsers, kills, whole sessions, examples) run once, above, and so do those of the
+# commands, which call what is tested in the other rooms.
 numpy2: $(VENV2)/.test
-	NUMBA_CACHE_DIR=$(VENV2)/numba $(VENV2)/bin/python -m pytest -q -n auto --dist worksteal -m "not slow"
+	NUMBA_CACHE_DIR=$(VENV2)/numba $(VENV2)/bin/python -m pytest -q -n auto --dist worksteal -m "not slow" \
+		--ignore tests/cli
 
 lint: $(VENV)/.test
 	$(BIN)/ruff format --check src tests benchmarks examples assets

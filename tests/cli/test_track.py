@@ -29,7 +29,8 @@ _SPEC = importlib.util.spec_from_file_location("made_sequence", _PATH)
 made = importlib.util.module_from_spec(_SPEC)
 _SPEC.loader.exec_module(made)
 _NAMES = [
-    "fingers.npz", "frames", "report.json", "sheet.png", "template.json", "template.npz", "track.glb", "track.npz"
+    "fingers.npz", "frames", "report.json", "sheet.png", "template.json", "template.npz", "track.glb",
+    "track.npz",
 ]  # fmt: skip
 
 
