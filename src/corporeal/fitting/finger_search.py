@@ -47,8 +47,8 @@ _TURNS = (-45.0, 0.0, 45.0)
 _ANEW = 3
 # A search that leaves more than this share of the cost is not worth a solve.
 _WORTH = 0.8
-# Hands that had come back the wrong way round cost a tenth as much once they were righted; one that was found
-# at half the cost lay the wrong way round then.
+# Hands that had come back the wrong way round cost a tenth as much once they were righted; with the share
+# above another was laid 20 mm off.
 _WORTH_TURNING = 0.25
 
 
