@@ -80,6 +80,17 @@ def test_fingers_in_their_scan_and_hands_without_one_are_left(body, search):
     assert search.lost(near, gone, _scan(body, true)) is None
 
 
+def test_of_a_hand_that_is_open_less_is_forgiven(body, search):
+    """Fingers 5 mm off: what webs may do to a fist they do not do where much of the hand is seen."""
+    fields, straight = ModelFields(body, shape_count=0), np.zeros((body.joint_count, 3))
+    true = fields.evaluated(_vector(body, straight)).vertices
+    off = fields.evaluated(_vector(body, _bent(body, straight, 0.08))).vertices
+    scan, few = _scan(body, true), np.concatenate([true[~search.hand], true[search.hand][::40]])
+    assert 4.5e-3**2 < search.cost(off, true[search.hand], scan) < 6e-3**2
+    assert search.lost(off, true, scan) is not None
+    assert search.lost(off, few, scan) is None
+
+
 def test_fingers_in_one_another_cost(body, search):
     fields, pose = ModelFields(body, shape_count=0), np.zeros((body.joint_count, 3))
     true = fields.evaluated(_vector(body, pose)).vertices

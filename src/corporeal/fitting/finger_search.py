@@ -31,6 +31,9 @@ _FARTHEST = 0.03
 _FEWEST = 3e-3
 # Root mean square distances of points and of what is outside of the scan: webs make up for 4 to 6 mm.
 _LOST = 6e-3
+# Where this share of a body's points is a hand's, it is open, and webs make up for 3 to 4 mm: two fingers in
+# the place of one lay 5.2 mm off.
+_MUCH, _LOST_IN_SIGHT = 6e-3, 4.5e-3
 # Phalanges of two fingers, side by side, lie 14 mm apart and more between their middles; nearer, they are in
 # one another, and each pair costs this part of the square that it is too near.
 _APART, _OVERLAP = 0.012, 0.5
@@ -229,7 +232,8 @@ class FingerSearch:
         if not len(own) or (little and self._within(vertices) <= _DEEP**2):
             return None
         cost = self.cost(vertices, own, scan)
-        return LostFingers(self, own, cost) if cost > _LOST**2 else None
+        limit = _LOST if len(own) < _MUCH * len(points) else _LOST_IN_SIGHT
+        return LostFingers(self, own, cost) if cost > limit**2 else None
 
     def tells(
         self, ones: Float[np.ndarray, "V 3"], others: Float[np.ndarray, "V 3"],
