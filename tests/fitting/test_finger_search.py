@@ -87,7 +87,7 @@ def test_of_a_hand_that_is_open_less_is_forgiven(body, search):
     off = fields.evaluated(_vector(body, _bent(body, straight, 0.08))).vertices
     scan, few = _scan(body, true), np.concatenate([true[~search.hand], true[search.hand][::40]])
     assert 4.5e-3**2 < search.cost(off, true[search.hand], scan) < 6e-3**2
-    assert search.lost(off, true, scan) is not None
+    assert 4.5e-3**2 < search.lost(off, true, scan).cost < 6e-3**2
     assert search.lost(off, few, scan) is None
 
 
@@ -121,7 +121,7 @@ def test_a_hand_in_the_body_is_lost_however_little_is_seen_of_it(body, search):
     some = np.concatenate([true[~search.hand], true[search.hand][:5] + 0.005])
     about = some + (within - true)[search.hand][0] * (np.arange(len(some)) >= (~search.hand).sum())[:, None]
     assert search.lost(true, some, scan) is None
-    assert search.lost(within, about, scan) is not None
+    assert search.lost(within, about, scan).cost > 3 * (20e-3) ** 2
 
 
 def test_points_between_hand_and_body_are_only_in_part_the_hands(body, search):
@@ -137,48 +137,46 @@ def test_points_between_hand_and_body_are_only_in_part_the_hands(body, search):
     assert share[0] == pytest.approx(0.01**2 / (0.01**2 + 0.02**2), rel=0.05)
 
 
+class _Misled:
+    """A body in its zero pose, a fit that began with another right hand, and how far that hand is off."""
+
+    def __init__(self, body, search, begin):
+        self.fitter, self.zero = FrameFitter(body, TrackingOptions()), np.zeros((body.joint_count, 3))
+        self.hand, self.true = search.hand, self.fitter.fields.evaluated(_vector(body, self.zero)).vertices
+        self.points = FramePoints(self.true, vertex_normals(self.true, body.faces), 1e-4)
+        self.start = FrameStart(_vector(body, begin), first=True, back=_scan(body, self.true))
+        self.vector = self.fitter.fit(self.points, self.start, self.fitter.options.first).state.parameters
+
+    def off(self, vector):
+        vertices = self.fitter.fields.evaluated(vector).vertices
+        return 1e3 * np.linalg.norm(vertices - self.true, axis=1)[self.hand].mean()
+
+    def asked(self, asked):
+        return self.fitter.with_fingers(self.points, self.vector, self.start, asked)
+
+
+_RIGHT, _NONE = np.array([False, True]), np.zeros(2, dtype=bool)
+
+
 @pytest.mark.slow
 def test_fingers_that_took_each_others_places_are_begun_anew(body, search):
     """A fist, turned by 70 degrees, is laid onto stretched fingers: the descent mixes them up."""
-    fitter = FrameFitter(body, TrackingOptions())
-    fields, pose = fitter.fields, np.zeros((body.joint_count, 3))
-    true = fields.evaluated(_vector(body, pose)).vertices
-    points = FramePoints(true, vertex_normals(true, body.faces), 1e-4)
-    turned = _bent(body, pose, 1.0)
+    turned = _bent(body, np.zeros((body.joint_count, 3)), 1.0)
     turned[body.joint_names.index("right_wrist"), 0] = np.deg2rad(70)
-    start = FrameStart(_vector(body, turned), first=True, back=_scan(body, true))
-    vector = fitter.fit(points, start, fitter.options.first).state.parameters
-    hands, none = np.array([False, True]), np.zeros(2, dtype=bool)
-
-    def off(parameters):
-        vertices = fields.evaluated(parameters).vertices
-        return 1e3 * np.linalg.norm(vertices - true, axis=1)[search.hand].mean()
-
-    assert off(vector) > 15
-    asked = HandsAsked(hands, hands, none, pose)
-    assert off(fitter.with_fingers(points, vector, start, asked)) < 1
-    nothing = HandsAsked(none, none, none, pose)
-    np.testing.assert_array_equal(fitter.with_fingers(points, vector, start, nothing), vector)
+    misled = _Misled(body, search, turned)
+    assert misled.off(misled.vector) > 15
+    assert misled.off(misled.asked(HandsAsked(_RIGHT, _RIGHT, _NONE, misled.zero))) < 1
+    nothing = misled.asked(HandsAsked(_NONE, _NONE, _NONE, misled.zero))
+    np.testing.assert_array_equal(nothing, misled.vector)
 
 
 @pytest.mark.slow
 def test_a_hand_that_is_back_turned_about_its_forearm_is_righted(body, search):
-    fitter = FrameFitter(body, TrackingOptions())
-    fields, pose = fitter.fields, np.zeros((body.joint_count, 3))
-    true = fields.evaluated(_vector(body, pose)).vertices
-    points = FramePoints(true, vertex_normals(true, body.faces), 1e-4)
-    before = pose.copy()
+    before = np.zeros((body.joint_count, 3))
     before[body.joint_names.index("right_wrist"), 0] = np.deg2rad(85)
-    start = FrameStart(_vector(body, before), first=True, back=_scan(body, true))
-    vector = fitter.fit(points, start, fitter.options.first).state.parameters
-    hands, none = np.array([False, True]), np.zeros(2, dtype=bool)
-
-    def off(parameters):
-        vertices = fields.evaluated(parameters).vertices
-        return 1e3 * np.linalg.norm(vertices - true, axis=1)[search.hand].mean()
-
-    assert off(vector) > 15
-    assert off(fitter.with_fingers(points, vector, start, HandsAsked(none, none, hands, before))) < 1
+    misled = _Misled(body, search, before)
+    assert misled.off(misled.vector) > 15
+    assert misled.off(misled.asked(HandsAsked(_NONE, _NONE, _RIGHT, before))) < 1
     alone = open_model("hand")
     faces = HandFaces.of_model(alone).masks["hand"]
     assert FingerSearch.of_block(alone, alone.block("hand"), faces).forearm is None

@@ -11,7 +11,6 @@ from corporeal.fitting.found_fingers import FINGERS, found_fingers
 from corporeal.fitting.frame_fit import FrameFitter
 from corporeal.fitting.gaps import SeenPose
 from corporeal.fitting.options import TrackingOptions
-from corporeal.fitting.subject_template import SubjectTemplate
 from corporeal.fitting.track import TrackedFrame, TrackState
 from corporeal.geometry.normals import vertex_normals
 from corporeal.model.files import open_model
@@ -115,13 +114,10 @@ def test_what_was_found_is_kept_beside_the_records(body, fist, sequence, tmp_pat
         state = TrackState(frame.pose, np.zeros(3), True, still, np.zeros(3), np.zeros(2, dtype=np.int64))
         tracked = TrackedFrame(name, "ok", "", frame.pose, np.zeros(3), None, {}, dict(SEEN))
         write_frame(frame_path(tmp_path, name), FrameRecord(tracked, state, name))
-    template = SubjectTemplate(body, np.zeros(0), (), {}, still, np.zeros(3), None)
-    looked = []
+    fitter, looked = FrameFitter(body, OPTIONS), []
 
-    def again(options=OPTIONS):
-        return found_fingers(
-            tmp_path, names, template, options, lambda name: sequence.scan_of(int(name)), looked.append
-        )
+    def again():
+        return found_fingers(tmp_path, names, fitter, lambda name: sequence.scan_of(int(name)), looked.append)
 
     first, read = again(), list(looked)
     assert read and sorted(first) == names[FISTS:FOUND]

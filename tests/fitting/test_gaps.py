@@ -141,14 +141,20 @@ def test_a_finger_found_at_once_has_set_out_before(body):
         np.testing.assert_array_equal(np.delete(bridge.pose, finger, axis=0), np.delete(pose, finger, axis=0))
 
 
-def test_records_are_bridged_alike_however_often(body, rng, tmp_path):
-    frames, _, _ = _frames(body, rng)
-    names = [f"{number:04d}" for number in range(FRAMES)]
+def _recorded(frames, folder):
+    """Records of frames as they were tracked; their names."""
+    names = [f"{number:04d}" for number in range(len(frames))]
     for name, frame in zip(names, frames, strict=True):
         still = np.zeros_like(frame.pose)
         state = TrackState(frame.pose, np.zeros(3), True, still, np.zeros(3), np.zeros(2, dtype=np.int64))
-        found = TrackedFrame(name, "ok", "", frame.pose, np.zeros(3), None, {}, dict(frame.signals))
-        write_frame(frame_path(tmp_path, name), FrameRecord(found, state))
+        tracked = TrackedFrame(name, "ok", "", frame.pose, np.zeros(3), None, {}, dict(frame.signals))
+        write_frame(frame_path(folder, name), FrameRecord(tracked, state))
+    return names
+
+
+def test_records_are_bridged_alike_however_often(body, rng, tmp_path):
+    frames, _, _ = _frames(body, rng)
+    names = _recorded(frames, tmp_path)
     # As far as an interrupted run came: the gap is still open.
     assert bridge_records(tmp_path, names[:AFTER], body, FPS, {}) == []
     changed = []
@@ -174,12 +180,7 @@ def test_records_are_bridged_alike_however_often(body, rng, tmp_path):
 
 def test_fingers_found_later_are_in_the_records_that_need_them(body, rng, tmp_path):
     frames, _, _ = _frames(body, rng)
-    names = [f"{number:04d}" for number in range(FRAMES)]
-    for name, frame in zip(names, frames, strict=True):
-        still = np.zeros_like(frame.pose)
-        state = TrackState(frame.pose, np.zeros(3), True, still, np.zeros(3), np.zeros(2, dtype=np.int64))
-        tracked = TrackedFrame(name, "ok", "", frame.pose, np.zeros(3), None, {}, dict(frame.signals))
-        write_frame(frame_path(tmp_path, name), FrameRecord(tracked, state))
+    names = _recorded(frames, tmp_path)
     finger = body.block("right_hand").joints[2]
     found = {name: frames[number].pose.copy() for number, name in enumerate(names[:3])}
     for pose in found.values():

@@ -36,6 +36,7 @@ from corporeal.fitting.files import (
     write_frame,
 )
 from corporeal.fitting.found_fingers import found_fingers
+from corporeal.fitting.frame_fit import FrameFitter
 from corporeal.fitting.options import TrackingOptions
 from corporeal.fitting.subject_template import SubjectTemplate
 from corporeal.fitting.track import TrackedFrame, Tracker
@@ -148,18 +149,18 @@ class SequenceWorker:
             write_frame(frame_path(job.folder, frame.name), record)
             statuses[record.frame.status] += 1
             self._told(number, statuses)
-        gaps = self._mended(job, sequence, template)
+        gaps = self._mended(job, sequence, tracker.fitter)
         self._step("writing")
         sequence = dataclasses.replace(sequence, notes=(*sequence.notes, *gaps))
         return write_outputs(sequence, job.folder, template, self._setup.meshes, self._step)
 
-    def _mended(self, job: SequenceJob, sequence: ScanSequence, template: SubjectTemplate) -> list[str]:
+    def _mended(self, job: SequenceJob, sequence: ScanSequence, fitter: FrameFitter) -> list[str]:
         """Mend in the records what only the whole sequence tells; sentences for the user."""
         files = {frame.name: frame for frame in sequence.frames}
         found: dict[str, np.ndarray] = {}
         try:
             found = found_fingers(
-                job.folder, list(files), template, job.options,
+                job.folder, list(files), fitter,
                 lambda name: read_frame_scan(files[name], self._setup.model, sequence.unit).scan,
                 lambda name: self._step(f"looking for fingers again: {name}"),
             )  # fmt: skip
@@ -170,7 +171,7 @@ class SequenceWorker:
             self.tell({"note": f"fingers stay as they were tracked: {_internal(error)}"})
         self._step("bridging gaps")
         return bridge_records(
-            job.folder, list(files), template.model, sequence.fps, found,
+            job.folder, list(files), fitter.model, sequence.fps, found,
             lambda name: mesh_path(job.folder, name).unlink(missing_ok=True),
         )  # fmt: skip
 

@@ -81,8 +81,7 @@ class LostFingers:
             vector: parameters that fit; all but the fingers' stay.
             scan: its surface.
         """
-        every = [joint for finger in self.search.fingers for joint in finger]
-        cost, found = self._better(fields, vector, self.cost, every, scan)
+        cost, found = self._better(fields, vector, self.cost, self.search.joints, scan)
         cost, found = self._finger_by_finger(fields, found, cost, scan)
         return found if cost < _WORTH * self.cost else None
 
@@ -99,8 +98,8 @@ class LostFingers:
             vector: parameters that fit; all but the fingers' stay.
             scan: its surface.
         """
-        every = [joint for finger in self.search.fingers for joint in finger]
-        tried = [self._posed(fields, vector, candidate, every, scan) for candidate in self.search.poses]
+        joints = self.search.joints
+        tried = [self._posed(fields, vector, candidate, joints, scan) for candidate in self.search.poses]
         nearest = sorted(tried, key=lambda one: one[0])[:_ANEW]
         return [self._finger_by_finger(fields, posed, cost, scan)[1] for cost, posed in nearest]
 
@@ -120,7 +119,7 @@ class LostFingers:
         wrist, forearm = self.search.wrist, self.search.forearm
         if wrist is None or forearm is None:
             return []
-        joints = [wrist, *(joint for finger in self.search.fingers for joint in finger)]
+        joints = [wrist, *self.search.joints]
         begins = []
         for pose in (before, vector[fields.columns.pose].reshape(-1, 3)):
             for angle in _TURNS:
@@ -215,6 +214,11 @@ class FingerSearch:
         chains = tuple(map(tuple, fingers))
         return cls(hand, _rest(model, block, hand), phalanges, chains, poses, wrist, forearm)
 
+    @property
+    def joints(self) -> list[int]:
+        """Of all fingers."""
+        return [joint for finger in self.fingers for joint in finger]
+
     def lost(
         self, vertices: Float[np.ndarray, "V 3"], points: Float[np.ndarray, "n 3"], scan: ScanSurface,
         *, however_little: bool = False,
@@ -240,8 +244,10 @@ class FingerSearch:
         points: Float[np.ndarray, "n 3"], scan: ScanSurface | None,
     ) -> bool:  # fmt: skip
         """Whether a scan shows enough of the hand to say that one posed surface is clearly better."""
+        if scan is None:
+            return False
         own = np.unique(np.concatenate([self._own(ones, points), self._own(others, points)]), axis=0)
-        if scan is None or len(own) < _FEWEST * len(points) or self._within(others) > _DEEP**2:
+        if len(own) < _FEWEST * len(points) or self._within(others) > _DEEP**2:
             return False
         return self.cost(ones, own, scan) < _WORTH * self.cost(others, own, scan)
 

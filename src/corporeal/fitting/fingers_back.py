@@ -73,6 +73,7 @@ def fingers_back(
         return {}
     tracked = np.array([frame.pose for frame in frames])
     poses = tracked.copy()
+    tell = on_frame or (lambda number: None)
     for block in fitter.model.pose_blocks:
         if not is_hand(block):
             continue
@@ -81,7 +82,7 @@ def fingers_back(
             if not len(_leaps(poses[found - 1 : found + 1, joints])):
                 continue  # gone back over already
             hand = _FoundHand(block.name, joints, found, _best_seen(frames, block.name, found))
-            _follow(fitter, sequence, poses, hand, on_frame or (lambda number: None))
+            _follow(fitter, sequence, poses, hand, tell)
     changed = np.flatnonzero((poses != tracked).any(axis=(1, 2)))
     return {int(number): poses[number] for number in changed}
 

@@ -15,8 +15,6 @@ from corporeal.fitting.files import frame_path, read_frame
 from corporeal.fitting.fingers_back import TrackedSequence, fingers_back
 from corporeal.fitting.frame_fit import FrameFitter
 from corporeal.fitting.gaps import SeenPose
-from corporeal.fitting.options import TrackingOptions
-from corporeal.fitting.subject_template import SubjectTemplate
 from corporeal.model.formats.archive import write_archive
 from corporeal.scans.scan import Scan
 
@@ -24,8 +22,8 @@ FINGERS = "fingers.npz"
 
 
 def found_fingers(
-    folder: Path, names: Sequence[str], template: SubjectTemplate, options: TrackingOptions,
-    scan_of: Callable[[str], Scan | None], on_frame: Callable[[str], None] | None = None,
+    folder: Path, names: Sequence[str], fitter: FrameFitter, scan_of: Callable[[str], Scan | None],
+    on_frame: Callable[[str], None] | None = None,
 ) -> dict[str, Float[np.ndarray, "K 3"]]:  # fmt: skip
     """The poses of the frames whose fingers ``fingers_back`` finds elsewhere, by the frames' names.
 
@@ -34,8 +32,7 @@ def found_fingers(
     Args:
         folder: of the tracked sequence.
         names: of its frames, in their order; all have a record.
-        template: of the subject.
-        options: of tracking.
+        fitter: of the subject's model, as it was tracked.
         scan_of: reads the scan of a frame; None where there is none.
         on_frame: told the name of every frame that is looked at again.
 
@@ -58,11 +55,9 @@ def found_fingers(
         tracked = TrackedSequence(
             frames, np.array(translations).reshape(-1, 3), lambda number: scan_of(names[number])
         )
-        found = fingers_back(
-            FrameFitter(template.model, options), tracked, lambda number: tell(names[number])
-        )
+        found = fingers_back(fitter, tracked, lambda number: tell(names[number]))
         known = {names[number]: pose for number, pose in sorted(found.items())}
-        poses = np.array(list(known.values())).reshape(len(known), template.model.joint_count, 3)
+        poses = np.array(list(known.values())).reshape(len(known), fitter.model.joint_count, 3)
         content = {"made_from": np.array(made_from.hexdigest()), "frames": np.array(list(known), dtype=str)}
         write_archive(folder / FINGERS, content | {"poses": poses})
     return known

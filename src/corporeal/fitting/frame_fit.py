@@ -222,7 +222,8 @@ class FrameFitter:
             if lost is None:
                 continue
             begins = self._begins(lost, vector, start.back, asked, hand)
-            solved = [self._from_fingers(points, start, begin, steps) for begin, steps in begins]
+            tried = (self._from_fingers(points, start, begin, steps) for begin, steps in begins)
+            solved = [one for one in tried if one is not None]
             costs = [lost.cost_of(self.fields.evaluated(one).vertices, start.back) for one in solved]
             if costs and lost.found(min(costs), turned=bool(asked.back[hand])):
                 vector = solved[int(np.argmin(costs))]
@@ -249,11 +250,10 @@ class FrameFitter:
     def _from_fingers(
         self, points: FramePoints, start: FrameStart, begin: Float[np.ndarray, " Q"],
         steps: tuple[AnnealingStep, ...],
-    ) -> Float[np.ndarray, " Q"]:  # fmt: skip
-        """A frame solved again with other fingers; as it began where that leads nowhere."""
+    ) -> Float[np.ndarray, " Q"] | None:  # fmt: skip
+        """A frame solved again with other fingers; None where that leads nowhere."""
         held = self.fields.parameters(begin).pose
-        found = self._solved(points, replace(start, vector=begin, previous=held, first=False), steps)
-        return begin if found is None else found
+        return self._solved(points, replace(start, vector=begin, previous=held, first=False), steps)
 
     def _solved(
         self, points: FramePoints, start: FrameStart, steps: tuple[AnnealingStep, ...]

@@ -76,7 +76,7 @@ def bridged(model: SurfaceModel, frames: Sequence[SeenPose], fps: float) -> list
     poses = np.array([frame.pose for frame in frames])
     hands: list[list[str]] = [[] for _ in frames]
     for block in model.pose_blocks:
-        if is_hand(block) and len(joints_above(model, block)) >= 3 and frames:
+        if is_hand(block) and frames:
             for first, after in _bridge_arm(model, block, frames, poses, fps):
                 for names in hands[first:after]:
                     names.append(block.name)
@@ -116,30 +116,34 @@ def _bridge_arm(
     model: SurfaceModel, block: PoseBlock, frames: Sequence[SeenPose], poses: Float[np.ndarray, "N K 3"],
     fps: float,
 ) -> list[tuple[int, int]]:  # fmt: skip
-    """Lay one arm through its gaps, in place; gives those of its hand."""
-    wrist, elbow, shoulder = joints_above(model, block)[:3]
+    """Lay one arm through its gaps, in place; gives those of its hand. A hand without an arm has none."""
+    above = joints_above(model, block)
+    if len(above) < 3:
+        return []
+    wrist, elbow, shoulder = above[:3]
     hand = _shares(frames, block.name)
     forearm = np.maximum(hand, _shares(frames, forearm_of(block.name)))
+    of_hand, of_forearm = _gaps(hand), _gaps(forearm)
+    if not of_hand and not of_forearm:
+        return []
     bone = _bone(model, shoulder, elbow)
-    gaps = _gaps(forearm)
-    if gaps:
-        motion = SeenMotion.of_angles(_rest_of_pose(model, poses, shoulder, bone), forearm > HARDLY_SEEN, fps)
+    rest = _rest_of_pose(model, poses, shoulder, bone)
+    if of_forearm:
+        motion = SeenMotion.of_angles(rest, forearm > HARDLY_SEEN, fps)
         turns = poses[:, shoulder].copy()
         twists = _twists(turns, bone)
-        for first, after in gaps:
+        for first, after in of_forearm:
             poses[first:after, elbow] = motion.turns_told(poses[:, elbow], first, after)
             # The upper arm itself is seen, but not how it is turned about itself.
             change = motion.told(twists[:, None], first, after)[:, 0] - twists[first:after]
             twisted = Rotation.from_rotvec(turns[first:after]) * Rotation.from_rotvec(change[:, None] * bone)
             poses[first:after, shoulder] = twisted.as_rotvec()
-    gaps = _gaps(hand)
-    if gaps:
-        angles = np.hstack([_rest_of_pose(model, poses, shoulder, bone), _from_mean(poses[:, elbow])])
-        motion = SeenMotion.of_angles(angles, hand > HARDLY_SEEN, fps)
-        for first, after in gaps:
-            poses[first:after, wrist] = motion.turns_told(poses[:, wrist], first, after)
-            _bridge(poses, first, after, block.joints)
-    return gaps
+    # The twist has left where the upper arm points to as it was.
+    motion = SeenMotion.of_angles(np.hstack([rest, _from_mean(poses[:, elbow])]), hand > HARDLY_SEEN, fps)
+    for first, after in of_hand:
+        poses[first:after, wrist] = motion.turns_told(poses[:, wrist], first, after)
+        _bridge(poses, first, after, block.joints)
+    return of_hand
 
 
 def _rest_of_pose(

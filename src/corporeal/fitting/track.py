@@ -133,7 +133,7 @@ class Tracker:
             previous: state after the frame before, to resume.
         """
         self.options = options or TrackingOptions()
-        self._fitter = FrameFitter(template.model, self.options)
+        self.fitter = FrameFitter(template.model, self.options)
         self.state = previous or TrackState.at_start(template)
         self._moving = _body_joints(template.model)
 
@@ -164,12 +164,12 @@ class Tracker:
             return self._lost(name, verdict, seconds, measures)
         s2m_mm, offsets = measures.s2m_mm, None
         if self.options.free_vertices:
-            posed = self._fitter.fields.evaluated(vector).vertices
-            free = self._fitter.freed(points, posed, self.options.frame_free)
-            offsets, s2m_mm = free - posed, self._fitter.s2m_mm(points, free)
+            posed = self.fitter.fields.evaluated(vector).vertices
+            free = self.fitter.freed(points, posed, self.options.frame_free)
+            offsets, s2m_mm = free - posed, self.fitter.s2m_mm(points, free)
             freed = time.perf_counter()
             seconds |= {"free": freed - ended, "total": freed - begun}
-        parameters = self._fitter.fields.parameters(vector)
+        parameters = self.fitter.fields.parameters(vector)
         self.state = self.state.after(parameters.pose, parameters.translation, settling)
         return TrackedFrame(
             name, status, verdict, parameters.pose, parameters.translation, s2m_mm, seconds,
@@ -189,7 +189,7 @@ class Tracker:
         # A second try is not pulled to the last pose, since much time may have passed; but its fingers, and
         # what is not seen, to where it begins.
         for begin in self._elsewhere(points, vector, measures):
-            held = self._fitter.fields.parameters(begin).pose if state.fitted else None
+            held = self.fitter.fields.parameters(begin).pose if state.fitted else None
             again, other = self._tried(points, FrameStart(begin, held, first=True, back=back), options.retry)
             if measures is None or (other is not None and _better(other, measures)):
                 vector, measures = again, other
@@ -197,15 +197,15 @@ class Tracker:
                     break
         if measures is None:
             return vector, measures, state.settling
-        unseen = self._fitter.unseen_hands(measures)
+        unseen = self.fitter.unseen_hands(measures)
         settling = np.where(unseen, _SETTLING, np.maximum(state.settling - 1, 0))
         # Begun anew in the first frame, and once a hand that was out of sight has settled.
         anew = (settling == 0) & ((state.settling > 0) | (not state.fitted))
         returned = (state.settling == _SETTLING) & ~unseen
         asked = HandsAsked(settling == 0, anew, returned, state.pose)
-        found = self._fitter.with_fingers(points, vector, start, asked)
+        found = self.fitter.with_fingers(points, vector, start, asked)
         if found is not vector:
-            vector, measures = found, self._fitter.measured(points, found)
+            vector, measures = found, self.fitter.measured(points, found)
         return vector, measures, settling
 
     def _elsewhere(
@@ -220,18 +220,18 @@ class Tracker:
         bounds = self.options.bounds
         if measures is None or not measures.seen["model_seen"] >= bounds.doubtful_share:
             return [self.state.vector()]
-        sought = self._fitter.arms_sought(points, vector) if measures.stray > bounds.stray_share else []
+        sought = self.fitter.arms_sought(points, vector) if measures.stray > bounds.stray_share else []
         far = not measures.s2m_mm["mean"] <= bounds.again_mm
         return [self.state.vector()] if far and not sought else sought
 
     def _tried(
         self, points: FramePoints, start: FrameStart, steps: tuple
     ) -> tuple[np.ndarray, FrameMeasures | None]:
-        solution = self._fitter.fit(points, start, steps)
+        solution = self.fitter.fit(points, start, steps)
         vector = solution.state.parameters
         if not (solution.outcome.usable and np.isfinite(vector).all()):
             return start.vector, None
-        return vector, self._fitter.measured(points, vector)
+        return vector, self.fitter.measured(points, vector)
 
     def _lost(
         self, name: str, reason: str, seconds: dict[str, float], measures: FrameMeasures | None = None
