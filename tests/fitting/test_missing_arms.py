@@ -41,14 +41,15 @@ def _search(person):
     return ArmSearch.below(person, person.joint_names.index("left_elbow"), hinges)
 
 
-def _arm(person):
-    below = [person.joint_names.index(f"left_{name}") for name in ("elbow", "wrist")]
+def _arm(person, *names):
+    """What the left elbow, or the joints named, carry with the hand."""
+    below = [person.joint_names.index(f"left_{name}") for name in names or ("elbow", "wrist")]
     below += person.block("left_hand").joints
     return person.skinning_weights[:, below].sum(axis=1) > 0.5
 
 
-def _scan(person, vertices, *, arm):
-    faces = person.faces if arm else person.faces[~_arm(person)[person.faces].any(axis=1)]
+def _scan(person, vertices, missing=None):
+    faces = person.faces if missing is None else person.faces[~missing[person.faces].any(axis=1)]
     used, faces = np.unique(faces, return_inverse=True)
     faces = faces.reshape(-1, 3).astype(np.int64)
     return Scan("a", vertices[used], faces, vertex_normals(vertices[used], faces), None, Unit("m", 1.0))
@@ -79,16 +80,32 @@ def test_a_missing_forearm_is_held_and_found_again_elsewhere(person):
     _, after, _ = _posed(person, 100, turn=-60)
     template = SubjectTemplate(person, np.zeros(0), (), {}, start, np.zeros(3))
     tracker, elbow = Tracker(template, OPTIONS), person.joint_names.index("left_elbow")
-    seen = tracker.step(_scan(person, before, arm=True), "0")
+    seen = tracker.step(_scan(person, before), "0")
     for number in (1, 2, 3):
-        gone = tracker.step(_scan(person, before, arm=False), str(number))
+        gone = tracker.step(_scan(person, before, _arm(person)), str(number))
         assert gone.signals["left_hand_seen"] < 0.15
         assert tracker.state.settling.tolist() == [10, 0]
     assert np.rad2deg(np.linalg.norm(gone.pose[elbow] - seen.pose[elbow])) < 2
     for number in (4, 5, 6):
-        back = tracker.step(_scan(person, after, arm=True), str(number))
+        back = tracker.step(_scan(person, after), str(number))
     assert tracker.state.settling.tolist() == [7, 0]
     vertices = evaluate(person, np.zeros(0), back.pose, back.translation).vertices
     assert np.linalg.norm(vertices - after, axis=1)[_arm(person)].mean() < 0.005
     fingers = list(person.block("left_hand").joints)
     assert np.rad2deg(np.linalg.norm(back.pose[fingers] - gone.pose[fingers], axis=1)).max() < 20
+
+
+@pytest.mark.slow
+def test_a_forearm_that_is_seen_moves_without_its_hand(person):
+    """Held like the hand, it would stay behind and the upper arm would turn for it."""
+    start, before, _ = _posed(person, 20)
+    template = SubjectTemplate(person, np.zeros(0), (), {}, start, np.zeros(3))
+    tracker, hand = Tracker(template, OPTIONS), _arm(person, "wrist")
+    tracker.step(_scan(person, before), "0")
+    for number, bend in enumerate((25, 31, 38, 45)):
+        _, true, _ = _posed(person, bend)
+        found = tracker.step(_scan(person, true, hand), str(number))
+    assert found.signals["left_hand_seen"] < 0.15 and found.signals["left_forearm_seen"] > 0.9
+    vertices = evaluate(person, np.zeros(0), found.pose, found.translation).vertices
+    forearm = _arm(person) & ~hand
+    assert np.linalg.norm(vertices - true, axis=1)[forearm].mean() < 0.002

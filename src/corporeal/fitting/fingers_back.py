@@ -14,9 +14,10 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
+from corporeal.fitting.arms import HARDLY_SEEN
 from corporeal.fitting.frame_data import frame_points
 from corporeal.fitting.frame_fit import FrameFitter, FrameStart, scan_surface
-from corporeal.fitting.gaps import HARDLY_SEEN, NOT_SEEN, SeenPose
+from corporeal.fitting.gaps import NOT_SEEN, SeenPose
 from corporeal.fitting.pose_terms import is_hand
 from corporeal.scans.scan import Scan
 

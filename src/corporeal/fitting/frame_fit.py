@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from corporeal.fitting.arm_search import ArmSearch
+from corporeal.fitting.arms import Arm, ArmPart
 from corporeal.fitting.finger_search import FingerSearch, LostFingers
-from corporeal.fitting.frame_data import FramePoints, HandFaces, chosen_points, joints_above, seen_shares
+from corporeal.fitting.frame_data import FramePoints, HandFaces, chosen_points, seen_shares
 from corporeal.fitting.free_vertices import coupled_vertices
 from corporeal.fitting.options import AnnealingStep, FreeStage, TrackingOptions
 from corporeal.fitting.pose_terms import pose_terms, tracking_subspace
@@ -20,7 +20,7 @@ from corporeal.solve.dogleg import DoglegOptions, Solution, solve, solve_within
 from corporeal.solve.problem import Problem, State, Term
 from corporeal.terms.distance import DistanceOptions
 from corporeal.terms.gaussian_prior import GaussianPrior
-from corporeal.terms.hinges import HINGE_SIGMA, Hinges, hinge_terms
+from corporeal.terms.hinges import HINGE_SIGMA, hinge_terms
 from corporeal.terms.model_fields import MODEL, ModelFields
 from corporeal.terms.scan_to_surface import MovingSurface, ScanToSurface
 from corporeal.terms.surface_to_scan import STICKING_OUT, ScanSurface, SurfaceToScan
@@ -29,9 +29,8 @@ from corporeal.terms.surface_to_scan import STICKING_OUT, ScanSurface, SurfaceTo
 _TANGENTIAL = 0.1
 # Equation 13: the share of the way back from the model to the scan; that of hands is an option.
 _BODY_BACK = 1.0
-# After the first frame: asked in solves with a robust scale so narrow, metres, and of hands of which so much
-# is seen (a fist shows a quarter of its skin).
-_BACK_WITHIN, _HAND_SEEN = 0.02, 0.15
+# After the first frame: asked in solves with a robust scale so narrow, metres, and of hands that are seen.
+_BACK_WITHIN = 0.02
 _SURFACE_POINTS = 12_000
 # The pull of what is not seen to its last pose, as a multiple of the usual: otherwise others' skin draws a
 # missing arm along, which sank into a thigh by 0.2 m within 15 frames.
@@ -100,20 +99,6 @@ class FrameMeasures:
         return self.seen | {"stray": self.stray, "model_s2m_mm": self.s2m_mm["mean"]}
 
 
-@dataclass(frozen=True, eq=False)
-class _Arm:
-    """A hand's faces, wrist and forearm: the vertices, and the joints that move them."""
-
-    vertices: Bool[np.ndarray, " V"]
-    above: tuple[int, ...]
-    fingers: tuple[int, ...]
-    search: ArmSearch | None
-
-    @property
-    def joints(self) -> tuple[int, ...]:
-        return self.above + self.fingers
-
-
 class FrameFitter:
     """A model made ready for frame after frame: trees, sparsity and subspace are made once."""
 
@@ -129,7 +114,7 @@ class FrameFitter:
         self._hand_vertices = np.zeros(model.vertex_count, dtype=bool)
         self._hand_vertices[np.unique(model.faces[self.on_hands])] = True
         hinges = hinge_terms(model, self.fields.columns, HINGE_SIGMA)
-        self._arms = {name: _arm(model, hinges, name, mask) for name, mask in self.hands.masks.items()}
+        self._arms = [Arm.of_hand(model, hinges, name, mask) for name, mask in self.hands.masks.items()]
         self._subspace = tracking_subspace(model, self.fields.columns, options)
         self._fingers = [
             FingerSearch.of_block(model, model.block(name), mask) for name, mask in self.hands.masks.items()
@@ -191,8 +176,11 @@ class FrameFitter:
         vertices = self.fields.evaluated(vector).vertices
         closest = self.surface.closest(vertices, points.positions, None)
         stray = points.positions[1e3 * closest.distances > _STRAY_MM]
-        for arm in self._unseen(points, closest, vertices) if len(stray) else ():
-            if arm.search is not None:
+        if not len(stray):
+            return []
+        shares = seen_shares(points, closest, vertices, self.surface, self.hands)
+        for arm in self._arms:
+            if arm.missing(shares) is not None and arm.search is not None:
                 found = arm.search.nearest(self.fields, self.surface, vector, stray)
                 if found:
                     return found
@@ -282,7 +270,7 @@ class FrameFitter:
 
     def unseen_hands(self, measures: FrameMeasures) -> Bool[np.ndarray, " H"]:
         """Hands of which so little is seen that they may be missing."""
-        return np.array([measures.seen[f"{name}_seen"] <= _HAND_SEEN for name in self._arms], dtype=bool)
+        return np.array([arm.missing(measures.seen) is not None for arm in self._arms], dtype=bool)
 
     def _back_terms(
         self, scan: ScanSurface, weight: float, asked: Bool[np.ndarray, " V"], first: bool,
@@ -302,14 +290,16 @@ class FrameFitter:
             SurfaceToScan("hands back", MODEL, self.surface, scan, hands, distance, True, edge),
         ]
 
-    def _unseen(self, points: FramePoints, closest: ClosestPoints, vertices: np.ndarray) -> list[_Arm]:
-        """Arms of hands that are missing; their forearms may be missing too.
+    def _unseen(
+        self, points: FramePoints, closest: ClosestPoints, vertices: Float[np.ndarray, "V 3"]
+    ) -> list[ArmPart]:
+        """What is missing of arms whose hands are.
 
         All skin of a missing hand lies outside of the scan: asked for distances back, it would be drawn to
         the nearest thigh.
         """
         shares = seen_shares(points, closest, vertices, self.surface, self.hands)
-        return [arm for name, arm in self._arms.items() if shares[f"{name}_seen"] <= _HAND_SEEN]
+        return [part for arm in self._arms if (part := arm.missing(shares)) is not None]
 
     def _terms(
         self, points: FramePoints, vector: np.ndarray, start: FrameStart, step: AnnealingStep
@@ -330,8 +320,8 @@ class FrameFitter:
             # Of all points, as if those on hands weighed no more than others.
             weight = float(np.minimum(shares, 1.0).sum()) / self.model.vertex_count
             asked = np.ones(self.model.vertex_count, dtype=bool)
-            for arm in unseen:
-                asked[arm.vertices] = False
+            for part in unseen:
+                asked[part.vertices] = False
             terms += self._back_terms(start.back, weight, asked, start.first, distance)
         size = columns.shape.stop - columns.shape.start
         if size:
@@ -355,14 +345,14 @@ class FrameFitter:
             share[own] = search.own_shares(vertices, points.positions[own], closest.distances[own])
         return share
 
-    def _pull(self, start: FrameStart, unseen: list[_Arm]) -> Float[np.ndarray, " K"]:
+    def _pull(self, start: FrameStart, unseen: list[ArmPart]) -> Float[np.ndarray, " K"]:
         """Factors on the pull of every joint to its last pose."""
         pull = np.zeros(self.model.joint_count) if start.first else np.ones(self.model.joint_count)
         # Where the body is looked for anew, how its hands are closed has not changed with that.
-        for arm in self._arms.values():
+        for arm in self._arms:
             pull[list(arm.fingers)] = _FINGERS_ANEW if start.first else 1.0
-        for arm in unseen:
-            pull[list(arm.joints)] = _UNSEEN
+        for part in unseen:
+            pull[list(part.joints)] = _UNSEEN
         return pull
 
 
@@ -373,15 +363,6 @@ def _summary(mm: Float[np.ndarray, " n"]) -> dict[str, float]:
         "p95": float(np.percentile(mm, 95)),
         "under_1mm": float((mm < 1).mean()),
     }
-
-
-def _arm(model: SurfaceModel, hinges: list[Hinges], name: str, hand: Bool[np.ndarray, " F"]) -> _Arm:
-    block = model.block(name)
-    above = joints_above(model, block)[:2]
-    vertices = model.skinning_weights[:, list(above)].sum(axis=1) > 0.5
-    vertices[np.unique(model.faces[hand])] = True
-    search = ArmSearch.below(model, above[1], hinges[0]) if hinges and len(above) == 2 else None
-    return _Arm(vertices, above, block.joints, search)
 
 
 def scan_surface(scan: Scan) -> ScanSurface | None:

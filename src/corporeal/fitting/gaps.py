@@ -14,14 +14,18 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation, Slerp
 
+from corporeal.fitting.arms import HARDLY_SEEN
 from corporeal.fitting.frame_data import forearm_of, joints_above
 from corporeal.fitting.gap_regression import SeenMotion
 from corporeal.fitting.pose_terms import is_hand
 from corporeal.model.statistics import PoseBlock
 from corporeal.model.surface_model import SurfaceModel
 
-# A part of which no more than this share is confirmed by scan may be missing; one of which nothing is, is.
-HARDLY_SEEN, NOT_SEEN = 0.15, 0.02
+# A hand of which no more than this share is confirmed at least once was missing.
+NOT_SEEN = 0.02
+# And a forearm: over eight sequences thighs confirmed up to 0.06 of one that was missing, and of one
+# that was there at least 0.58 was confirmed.
+_FOREARM_NOT_SEEN = 0.1
 # Frames: over a longer time a straight way means nothing.
 _LONGEST = 60
 # Degrees per second: no finger turns faster. The recorded ones that simulated people move reach 350.
@@ -99,14 +103,17 @@ def _shares(frames: Sequence[SeenPose], part: str) -> Float[np.ndarray, " N"]:
     return np.array([frame.signals[f"{part}_seen"] if frame.tracked else HARDLY_SEEN for frame in frames])
 
 
-def _gaps(seen: Float[np.ndarray, " N"]) -> list[tuple[int, int]]:
-    """First frame of every gap and the first after it; what is open at an end, or too long, is none."""
+def _gaps(seen: Float[np.ndarray, " N"], nothing: float) -> list[tuple[int, int]]:
+    """First frame of every gap and the first after it; what is open at an end, or too long, is none.
+
+    In a gap at least once no more than ``nothing`` is seen.
+    """
     gaps, first = [], None
     for number, share in enumerate(seen):
         if share <= HARDLY_SEEN:
             first = number if first is None else first
             continue
-        if first and number - first <= _LONGEST and seen[first:number].min() <= NOT_SEEN:
+        if first and number - first <= _LONGEST and seen[first:number].min() <= nothing:
             gaps.append((first, number))
         first = None
     return gaps
@@ -123,7 +130,7 @@ def _bridge_arm(
     wrist, elbow, shoulder = above[:3]
     hand = _shares(frames, block.name)
     forearm = np.maximum(hand, _shares(frames, forearm_of(block.name)))
-    of_hand, of_forearm = _gaps(hand), _gaps(forearm)
+    of_hand, of_forearm = _gaps(hand, NOT_SEEN), _gaps(forearm, _FOREARM_NOT_SEEN)
     if not of_hand and not of_forearm:
         return []
     bone = _bone(model, shoulder, elbow)
