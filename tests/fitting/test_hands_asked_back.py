@@ -17,29 +17,37 @@ WIDE, NARROW = AnnealingStep(100.0, 0.1, 4), AnnealingStep(500.0, 0.01, 5)
 
 
 @pytest.fixture(scope="module")
-def without_left_hand():
-    """A body with hanging arms, points on all of it but the left hand, and its surface likewise."""
+def fitter():
     body = open_model("body")
-    personal = personal_model(body, body.template)
-    fitter = FrameFitter(personal, OPTIONS)
+    return FrameFitter(personal_model(body, body.template), OPTIONS)
+
+
+@pytest.fixture
+def without_left_hand(fitter):
+    return _without(fitter, fitter.hands.masks["left_hand"])
+
+
+def _without(fitter, lost):
+    """A body with hanging arms, points on all of it but the lost faces, and its surface likewise."""
+    body = fitter.model
     pose = np.zeros((body.joint_count, 3))
     pose[body.joint_names.index("left_shoulder"), 2] = -1.2
     pose[body.joint_names.index("right_shoulder"), 2] = 1.2
-    vertices = evaluate(personal, np.zeros(0), pose, np.zeros(3)).vertices
-    seen = body.faces[~fitter.hands.masks["left_hand"]]
+    vertices = evaluate(body, np.zeros(0), pose, np.zeros(3)).vertices
+    seen = body.faces[~lost]
     corners = vertices[seen]
     points = FramePoints(
         corners.mean(axis=1), face_normals(vertices, seen), face_areas(vertices, seen).mean()
     )
     used, faces = np.unique(seen, return_inverse=True)
     faces = faces.reshape(-1, 3).astype(np.int64)
-    scan = Scan("no hand", vertices[used], faces, vertex_normals(vertices[used], faces), None, Unit("m", 1.0))
+    scan = Scan("in part", vertices[used], faces, vertex_normals(vertices[used], faces), None, Unit("m", 1.0))
     return fitter, points, scan, np.concatenate([np.zeros(3), pose.ravel()])
 
 
-def _weights(without_left_hand, step, *, first):
+def _weights(shown, step, *, first):
     """Weights of the two terms together; of the arms' vertices among them."""
-    fitter, points, scan, vector = without_left_hand
+    fitter, points, scan, vector = shown
     previous = None if first else vector[3:].reshape(-1, 3)
     start = FrameStart(vector, previous, first=first, back=scan_surface(scan))
     terms = [term for term in fitter._terms(points, vector, start, step) if "back" in term.name]
@@ -51,12 +59,14 @@ def _weights(without_left_hand, step, *, first):
     return weights, hands, fitter.model
 
 
-def test_a_missing_hand_is_not_asked_nor_its_forearm(without_left_hand):
-    weights, hands, model = _weights(without_left_hand, NARROW, first=False)
+@pytest.mark.parametrize("forearm", [False, True], ids=["hand", "hand and forearm"])
+def test_a_missing_hand_is_not_asked_nor_a_forearm_that_is_missing_too(fitter, forearm):
+    lost = fitter.hands.masks["left_hand"] | (forearm & fitter.hands.forearms["left_forearm"])
+    weights, hands, model = _weights(_without(fitter, lost), NARROW, first=False)
     assert (weights[hands["left_hand"]] == 0).all() and (weights[hands["right_hand"]] > 0).all()
-    for side, asked in (("left", False), ("right", True)):
-        forearm = model.skinning_weights[:, model.joint_names.index(f"{side}_elbow")] > 0.6
-        assert ((weights[forearm] > 0) == asked).all()
+    for side, asked in (("left", not forearm), ("right", True)):
+        own = model.skinning_weights[:, model.joint_names.index(f"{side}_elbow")] > 0.6
+        assert ((weights[own] > 0) == asked).all()
     torso = model.skinning_weights[:, model.joint_names.index("spine2")] > 0.6
     np.testing.assert_allclose(weights[hands["right_hand"]], OPTIONS.hand_back * weights[torso].mean())
 
