@@ -172,15 +172,13 @@ def test_fingers_that_took_each_others_places_are_begun_anew(body, search):
 
 @pytest.mark.slow
 def test_a_hand_that_is_back_turned_about_its_forearm_is_righted(body, search):
-    """Three turns: where one descent ends hangs on the processor's rounding."""
-    misled_mm, righted_mm = [], []
-    for turn in (70, 75, 80):
-        before = np.zeros((body.joint_count, 3))
-        before[body.joint_names.index("right_wrist"), 0] = np.deg2rad(turn)
-        misled = _Misled(body, search, before)
-        misled_mm.append(misled.off(misled.vector))
-        righted_mm.append(misled.off(misled.asked(HandsAsked(_NONE, _NONE, _RIGHT, before))))
-    assert max(misled_mm) > 4 and max(righted_mm) < 1.5
+    """It stands turned: whether a descent leaves it so hangs on the processor's rounding."""
+    before = np.zeros((body.joint_count, 3))
+    before[body.joint_names.index("right_wrist"), 0] = np.deg2rad(85)
+    misled = _Misled(body, search, before)
+    misled.vector = _vector(body, before)
+    assert misled.off(misled.vector) > 15
+    assert misled.off(misled.asked(HandsAsked(_NONE, _NONE, _RIGHT, before))) < 1
     alone = open_model("hand")
     faces = HandFaces.of_model(alone).masks["hand"]
     assert FingerSearch.of_block(alone, alone.block("hand"), faces).forearm is None

@@ -163,7 +163,7 @@ class FrameFitter:
         return _summary(1e3 * self.surface.closest(vertices, points.positions, None).distances)
 
     def arms_sought(
-        self, points: FramePoints, vector: Float[np.ndarray, " Q"]
+        self, points: FramePoints, vector: Float[np.ndarray, " Q"], measures: FrameMeasures
     ) -> list[Float[np.ndarray, " Q"]]:
         """The parameters with an arm of a missing hand laid to where the scan has points left over.
 
@@ -172,15 +172,13 @@ class FrameFitter:
         Args:
             points: of the frame.
             vector: parameters that fit the rest of the body.
+            measures: of these.
         """
         vertices = self.fields.evaluated(vector).vertices
         closest = self.surface.closest(vertices, points.positions, None)
         stray = points.positions[1e3 * closest.distances > _STRAY_MM]
-        if not len(stray):
-            return []
-        shares = seen_shares(points, closest, vertices, self.surface, self.hands)
-        for arm in self._arms:
-            if arm.missing(shares) is not None and arm.search is not None:
+        for arm in self._arms if len(stray) else ():
+            if arm.missing(measures.seen) is not None and arm.search is not None:
                 found = arm.search.nearest(self.fields, self.surface, vector, stray)
                 if found:
                     return found

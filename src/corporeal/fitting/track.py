@@ -220,7 +220,9 @@ class Tracker:
         bounds = self.options.bounds
         if measures is None or not measures.seen["model_seen"] >= bounds.doubtful_share:
             return [self.state.vector()]
-        sought = self.fitter.arms_sought(points, vector) if measures.stray > bounds.stray_share else []
+        sought = []
+        if measures.stray > bounds.stray_share:
+            sought = self.fitter.arms_sought(points, vector, measures)
         far = not measures.s2m_mm["mean"] <= bounds.again_mm
         return [self.state.vector()] if far and not sought else sought
 
