@@ -22,6 +22,8 @@ from corporeal.terms.surface_to_scan import ScanSurface
 # A sample this near, on skin that faces the same way, confirms the surface beside it.
 _BESIDE = 0.02
 _SAME_SKIN = 0.3
+# Weights by fineness are not less; and where they are more, all points are taken.
+_COARSEST, _IN_DETAIL = 0.3, 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,21 +117,47 @@ def _carried(model: SurfaceModel, joints: Sequence[int]) -> Bool[np.ndarray, " F
     return mostly[model.faces].sum(axis=1) >= 2
 
 
+@dataclass(frozen=True, eq=False)
+class PointShares:
+    """How much points of a scan weigh, by the face of the model that they lie at.
+
+    Attributes:
+        weights: (F,) factors.
+        in_detail: (F,) faces whose points are all taken; of the others some stand for all.
+    """
+
+    weights: Float[np.ndarray, " F"]
+    in_detail: Bool[np.ndarray, " F"]
+
+    @classmethod
+    def of_model(
+        cls, model: SurfaceModel, hands: Bool[np.ndarray, " F"], options: TrackingOptions
+    ) -> PointShares:
+        """Those of hands weigh what the options say; others 1, or as finely as the mesh is made there."""
+        fineness = np.ones(len(model.faces))
+        if options.weigh_by_fineness:
+            corners = np.repeat(face_areas(model.template, model.faces) / 3, 3)
+            areas = np.bincount(model.faces.ravel(), corners, model.vertex_count)
+            per_vertex = areas.mean() / np.maximum(areas, np.finfo(float).tiny)
+            fineness = np.clip(per_vertex[model.faces].mean(axis=1), _COARSEST, options.hand_weight)
+        return cls(np.where(hands, options.hand_weight, fineness), hands | (fineness > _IN_DETAIL))
+
+
 def chosen_points(
-    points: FramePoints, closest: ClosestPoints, hands: Bool[np.ndarray, " F"],
+    points: FramePoints, closest: ClosestPoints, shares: PointShares,
     own: Float[np.ndarray, " n"], options: TrackingOptions,
 ) -> tuple[FramePoints, Float[np.ndarray, " m"]]:  # fmt: skip
-    """All points on the hands and some of the others, with weights.
+    """All points on the parts in detail and some of the others, with weights.
 
-    The others weigh more where fewer of them are taken, so that body and hands stay in proportion; those on
-    hands less, as ``own`` says, where they may be another part's.
+    The others weigh more where they are fewer than could be taken, so that parts stay in proportion; those
+    on hands less, as ``own`` says, where they may be another part's.
     """
-    on_hand = hands[closest.faces]
-    others = np.flatnonzero(~on_hand)
+    in_detail = shares.in_detail[closest.faces]
+    others = np.flatnonzero(~in_detail)
     picked = others[: options.body_points]
-    weight = len(others) / max(len(picked), 1) * options.body_points / options.samples
-    kept = np.concatenate([picked, np.flatnonzero(on_hand)])
-    weights = np.where(on_hand[kept], options.hand_weight * own[kept], weight)
+    each = len(others) / max(len(picked), 1) * options.body_points / options.samples
+    kept = np.concatenate([picked, np.flatnonzero(in_detail)])
+    weights = (shares.weights[closest.faces] * own * np.where(in_detail, 1.0, each))[kept]
     normals = None if points.normals is None else points.normals[kept]
     return FramePoints(points.positions[kept], normals, points.area_per_point), weights
 

@@ -110,8 +110,11 @@ class TrackingOptions:
         find_fingers: fingers that have lost their scan are looked for among recorded poses.
         predict: True starts a frame where the body's motion leads, False at the last frame as the paper does.
         samples: points drawn on a scan.
-        body_points: of those, how many off the hands are fitted to; on the hands all are.
-        hand_weight: weight of a point on a hand; the body's are 1.
+        body_points: of those, how many are fitted to; on the hands, and where the mesh is fine, all are.
+        hand_weight: weight of a point on a hand; the body's are 1, or:
+        weigh_by_fineness: points weigh more where the model's mesh is finer than its mean, up to
+            ``hand_weight``, and less where it is coarser: toes are a tenth of a body's vertices and a
+            hundredth of its skin, and lay 4 mm back.
         hand_back: weight of distances back from hands to the scan, as a share of the data's.
         minimum_cosine: pairs whose normals disagree more are not matched.
         template_frames: of the first stage, at most.
@@ -140,6 +143,7 @@ class TrackingOptions:
     samples: int = 48_000
     body_points: int = 5_000
     hand_weight: float = 6.0
+    weigh_by_fineness: bool = True
     hand_back: float = 1.5
     minimum_cosine: float = 0.3
     template_frames: int = 50
