@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from corporeal.fitting import finger_search
 from corporeal.fitting.files import FrameRecord, frame_path, write_frame
 from corporeal.fitting.fingers_back import TrackedSequence, fingers_back
 from corporeal.fitting.found_fingers import FINGERS, found_fingers
@@ -69,6 +70,21 @@ def test_found_fingers_are_followed_back_to_where_the_scan_has_others(body, fist
     for pose in found.values():
         assert np.rad2deg(np.linalg.norm(pose[joints], axis=1)).max() < 10
         np.testing.assert_array_equal(pose[others], fist[others])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("enough", [True, False], ids=["seen", "too little seen to tell in one frame"])
+def test_fingers_found_wrongly_give_way_to_those_before(body, fist, sequence, monkeypatch, enough):
+    """All scans show fists; the last frames were tracked as straight hands."""
+    if not enough:
+        monkeypatch.setattr(finger_search, "_FEWEST", 1.0)
+    scan = _scan(body, fist)
+    fitter = FrameFitter(body, OPTIONS)
+    found = fingers_back(fitter, dataclasses.replace(sequence, scan_of=lambda number: scan))
+    assert sorted(found) == list(range(FOUND, FRAMES))
+    joints = list(body.block("right_hand").joints)
+    for pose in found.values():
+        assert np.rad2deg(np.linalg.norm(pose[joints] - fist[joints], axis=1)).max() < 10
 
 
 def test_fingers_that_leap_nowhere_are_not_looked_at(body, fist, sequence):

@@ -1,4 +1,4 @@
-"""What points of a scan weigh, and the surface that distances back are taken to: fine parts count as parts."""
+"""What points of a scan weigh, and the surface that distances back go to: fine parts are heard."""
 
 import dataclasses
 

@@ -7,6 +7,7 @@ finds nothing in the air that would lead it back.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -163,6 +164,18 @@ class LostFingers:
         return self.search.cost(vertices, self.points, scan)
 
 
+class Comparison(NamedTuple):
+    """Of two posed surfaces, how a scan decides.
+
+    Attributes:
+        for_ones: logarithm of how many times as much the others leave unexplained.
+        clear: whether the ones are clearly better, and the scan shows enough of the hand to say so alone.
+    """
+
+    for_ones: float
+    clear: bool
+
+
 @dataclass(frozen=True, eq=False)
 class FingerSearch:
     """Recorded poses of the fingers of one hand.
@@ -239,17 +252,17 @@ class FingerSearch:
         limit = _LOST if len(own) < _MUCH * len(points) else _LOST_IN_SIGHT
         return LostFingers(self, own, cost) if cost > limit**2 else None
 
-    def tells(
+    def compared(
         self, ones: Float[np.ndarray, "V 3"], others: Float[np.ndarray, "V 3"],
         points: Float[np.ndarray, "n 3"], scan: ScanSurface | None,
-    ) -> bool:  # fmt: skip
-        """Whether a scan shows enough of the hand to say that one posed surface is clearly better."""
-        if scan is None:
-            return False
+    ) -> Comparison:  # fmt: skip
+        """Which of two posed surfaces explains the hand's points better."""
         own = np.unique(np.concatenate([self._own(ones, points), self._own(others, points)]), axis=0)
-        if len(own) < _FEWEST * len(points) or self._within(others) > _DEEP**2:
-            return False
-        return self.cost(ones, own, scan) < _WORTH * self.cost(others, own, scan)
+        if scan is None or not len(own):
+            return Comparison(0.0, False)
+        one, other = (self.cost(vertices, own, scan) + _NOWHERE for vertices in (ones, others))
+        enough = len(own) >= _FEWEST * len(points) and self._within(others) <= _DEEP**2
+        return Comparison(float(np.log(other / one)), enough and one < _WORTH * other)
 
     def own_shares(
         self, vertices: Float[np.ndarray, "V 3"], points: Float[np.ndarray, "n 3"],

@@ -2,7 +2,8 @@
 
 While little is seen of a hand, a tracker holds wrong fingers as well as right ones. Once more is seen they
 are found elsewhere at once; a recorded sequence can then be gone through from there to its beginning, until
-the scan, where it shows enough of the hand, says that fingers were where they had been tracked.
+the scan, where it shows enough of the hand, says that fingers were where they had been tracked. Where it
+shows little in every frame, all of them together tell whether what was found is right at all.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from corporeal.fitting.arms import HARDLY_SEEN
+from corporeal.fitting.finger_search import Comparison
 from corporeal.fitting.frame_data import frame_points
 from corporeal.fitting.frame_fit import FrameFitter, FrameStart, scan_surface
 from corporeal.fitting.gaps import NOT_SEEN, SeenPose
@@ -62,7 +64,10 @@ def fingers_back(
     From where fingers turn by more than 15 degrees within a frame, their hand is followed back: each frame is
     solved for with the fingers of the one after it, and they stay as they are found unless the scan shows
     enough of the hand to say that the tracked ones explain it much better. That, fingers as they were
-    tracked, or a frame that failed ends it. Where the hand is out of sight they go on unchanged.
+    tracked, or a frame that failed ends it. Where the hand is out of sight they go on unchanged. In the end
+    all stay as they were tracked if those explain the frames better in the (geometric) mean, and the fingers
+    before the leap are followed forth instead, by the same rules: ones that were wrongly found in the last
+    frames of a hand on a thigh had gone back by 60 frames, none of which spoke loudly enough alone.
 
     Args:
         fitter: of the subject's model.
@@ -83,7 +88,8 @@ def fingers_back(
             if not len(_leaps(poses[found - 1 : found + 1, joints])):
                 continue  # gone back over already
             hand = _FoundHand(block.name, joints, found, _best_seen(frames, block.name, found))
-            _follow(fitter, sequence, poses, hand, tell)
+            if not _followed(fitter, sequence, poses, hand, range(hand.best - 1, -1, -1), tell):
+                _followed(fitter, sequence, poses, hand, range(found, len(frames)), tell)
     changed = np.flatnonzero((poses != tracked).any(axis=(1, 2)))
     return {int(number): poses[number] for number in changed}
 
@@ -114,33 +120,44 @@ def _seen(frame: SeenPose, hand: str) -> float:
     return frame.signals[f"{hand}_seen"] if frame.tracked else 0.0
 
 
-def _follow(
+def _followed(
     fitter: FrameFitter, sequence: TrackedSequence, poses: Float[np.ndarray, "N K 3"], hand: _FoundHand,
-    on_frame: Callable[[int], None],
-) -> None:  # fmt: skip
-    """Lay a hand's fingers back from where it is seen best, in place."""
-    joints = hand.joints
-    fingers = poses[hand.best, joints]
-    for number in range(hand.best - 1, -1, -1):
-        frame, before = sequence.frames[number], number < hand.found
+    numbers: range, on_frame: Callable[[int], None],
+) -> bool:  # fmt: skip
+    """Lay the fingers of the frame before ``numbers`` along these, in place; False where the scans refuse."""
+    joints, laid = hand.joints, {}
+    fingers, for_tracked = poses[numbers.start - numbers.step, joints], 0.0
+    for number in numbers:
+        # From where most is seen to where they were found, fingers are only laid anew.
+        anew = hand.found <= number < hand.best and numbers.step < 0
+        frame = sequence.frames[number]
         if not frame.tracked:
-            return
+            break
         if _seen(frame, hand.name) > HARDLY_SEEN:
             on_frame(number)
             again = _again(fitter, sequence, poses[number], number, hand, fingers)
-            if again is None and before:
-                return
-            fingers = poses[number, joints] if again is None else again
-            if before and _apart(fingers[None], frame.pose[None, joints])[0] < _SAME:
-                return
-        poses[number, joints] = fingers
+            for_tracked += 0.0 if again is None else again[1].for_ones
+            if again is None or again[1].clear:
+                if not anew:
+                    break
+                fingers = poses[number, joints]
+            else:
+                fingers = again[0]
+            if not anew and _apart(fingers[None], frame.pose[None, joints])[0] < _SAME:
+                break
+        laid[number] = fingers
+    if for_tracked > 0:
+        return False
+    for number, turns in laid.items():
+        poses[number, joints] = turns
+    return True
 
 
 def _again(
     fitter: FrameFitter, sequence: TrackedSequence, tracked: Float[np.ndarray, "K 3"], number: int,
     hand: _FoundHand, fingers: Float[np.ndarray, "J 3"],
-) -> Float[np.ndarray, "J 3"] | None:  # fmt: skip
-    """A frame's fingers, solved for from those of the next; None where what was tracked is better."""
+) -> tuple[Float[np.ndarray, "J 3"], Comparison] | None:  # fmt: skip
+    """A frame's fingers, solved for from those of the next, and how what was tracked compares."""
     scan = sequence.scan_of(number)
     if scan is None:
         return None
@@ -149,4 +166,4 @@ def _again(
     pose[hand.joints] = fingers
     vector, begin = (np.concatenate([sequence.translations[number], one.ravel()]) for one in (tracked, pose))
     found = fitter.fingers_again(points, vector, FrameStart(begin, pose, back=back), hand.name)
-    return None if found is None else fitter.fields.parameters(found).pose[hand.joints]
+    return None if found is None else (fitter.fields.parameters(found[0]).pose[hand.joints], found[1])
