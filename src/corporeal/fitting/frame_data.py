@@ -22,8 +22,9 @@ from corporeal.terms.surface_to_scan import ScanSurface
 # A sample this near, on skin that faces the same way, confirms the surface beside it.
 _BESIDE = 0.02
 _SAME_SKIN = 0.3
-# Weights by fineness are not less; and where they are more, all points are taken.
-_COARSEST, _IN_DETAIL = 0.3, 4.0
+# Points on a mesh no finer than its mean weigh 1: with 0.3 for the coarsest an arm that came back elsewhere
+# was found three frames later. Where they weigh more than the second number, all are taken.
+_COARSEST, _IN_DETAIL = 1.0, 4.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,10 @@ from corporeal.terms.pose_subspace import block_columns, pose_subspace
 # A scan says nothing of the eyes, and little of the jaw: single joints of the head stay near zero.
 _LONE_JOINT = 0.03
 _LIMIT = 0.1
+# Toes bend up and down, about x. Free to turn sideways, each slipped to the next one's place and stayed
+# there, 15 to 28 degrees off.
+_TOES = ("left_foot", "right_foot")
+_TOES_SIDEWAYS = 0.03
 # lambda_theta_b was found for a spread of one radian about the mean; recorded poses spread by a third of it.
 _BODY_MIXTURE = 0.1
 # A direction in which the recorded poses hardly vary is not forbidden: 3 degrees about it stay cheap.
@@ -59,6 +63,7 @@ def pose_terms(
         if block.limits is not None:
             terms.append(PoseLimits(f"{block.name} limits", where, block.limits, _LIMIT))
     terms += hinge_terms(model, columns, HINGE_SIGMA)
+    terms += _toe_terms(model, columns)
     if options.velocity and previous is not None:
         stiffness = np.repeat(np.ones(len(previous)) if pull is None else pull, 3) * options.weights.velocity
         terms.append(GaussianPrior("velocity", columns.pose, previous.ravel(), np.diag(stiffness)))
@@ -83,6 +88,16 @@ def tracking_subspace(
 def is_hand(block: PoseBlock) -> bool:
     """Whether principal components of its poses are known, as they are of hands."""
     return len(block.components) > 0
+
+
+def _toe_terms(model: SurfaceModel, columns: ParameterColumns) -> list[Term]:
+    """Toes of a model that names its joints as SMPL does turn about x alone; nothing for any other."""
+    stiffness = np.zeros((model.joint_count, 3))
+    for name in set(_TOES) & set(model.joint_names):
+        stiffness[model.joint_names.index(name), 1:] = 1 / _TOES_SIDEWAYS**2
+    if not stiffness.any():
+        return []
+    return [GaussianPrior("toes", columns.pose, np.zeros(stiffness.size), np.diag(stiffness.ravel()))]
 
 
 def _body_term(block: PoseBlock, where: slice, weight: float) -> Term:
