@@ -140,7 +140,8 @@ class PointShares:
             corners = np.repeat(face_areas(model.template, model.faces) / 3, 3)
             areas = np.bincount(model.faces.ravel(), corners, model.vertex_count)
             per_vertex = areas.mean() / np.maximum(areas, np.finfo(float).tiny)
-            fineness = np.clip(per_vertex[model.faces].mean(axis=1), _COARSEST, options.hand_weight)
+            finest = max(options.hand_weight, _COARSEST)
+            fineness = np.clip(per_vertex[model.faces].mean(axis=1), _COARSEST, finest)
         return cls(np.where(hands, options.hand_weight, fineness), hands | (fineness > _IN_DETAIL))
 
 

@@ -20,9 +20,9 @@ from corporeal.terms.pose_subspace import block_columns, pose_subspace
 # A scan says nothing of the eyes, and little of the jaw: single joints of the head stay near zero.
 _LONE_JOINT = 0.03
 _LIMIT = 0.1
-# Toes bend up and down, about x. Free to turn sideways, each slipped to the next one's place and stayed
-# there, 15 to 28 degrees off.
-_TOES = ("left_foot", "right_foot")
+# Toes, and what carries them, bend up and down, about x. Free to turn sideways, each slipped to the next
+# one's place and stayed there, 15 to 28 degrees off.
+_TOES = {"left_foot": "left_ankle", "right_foot": "right_ankle"}
 _TOES_SIDEWAYS = 0.03
 # lambda_theta_b was found for a spread of one radian about the mean; recorded poses spread by a third of it.
 _BODY_MIXTURE = 0.1
@@ -93,8 +93,9 @@ def is_hand(block: PoseBlock) -> bool:
 def _toe_terms(model: SurfaceModel, columns: ParameterColumns) -> list[Term]:
     """Toes of a model that names its joints as SMPL does turn about x alone; nothing for any other."""
     stiffness = np.zeros((model.joint_count, 3))
-    for name in set(_TOES) & set(model.joint_names):
-        stiffness[model.joint_names.index(name), 1:] = 1 / _TOES_SIDEWAYS**2
+    for joint, parent in enumerate(model.parents):
+        if joint and _TOES.get(model.joint_names[joint]) == model.joint_names[parent]:
+            stiffness[joint, 1:] = 1 / _TOES_SIDEWAYS**2
     if not stiffness.any():
         return []
     return [GaussianPrior("toes", columns.pose, np.zeros(stiffness.size), np.diag(stiffness.ravel()))]
