@@ -38,7 +38,7 @@ _MUCH, _LOST_IN_SIGHT = 6e-3, 4.5e-3
 # Phalanges of two fingers, side by side, lie 14 mm apart and more between their middles; nearer, they are in
 # one another, and each pair costs this part of the square that it is too near.
 _APART, _OVERLAP = 0.012, 0.5
-# Square metres, to divide by where a point lies on the hand and the rest at once.
+# Square metres, to divide by where a point lies on the hand and the rest at once, or all is explained.
 _NOWHERE = 1e-12
 # Root mean square depth of a hand in the rest of the body that no flesh gives way to.
 _DEEP = 8e-3

@@ -129,7 +129,7 @@ def _followed(
     fingers, for_tracked = poses[numbers.start - numbers.step, joints], 0.0
     for number in numbers:
         # From where most is seen to where they were found, fingers are only laid anew.
-        anew = hand.found <= number < hand.best and numbers.step < 0
+        anew = numbers.step < 0 and number >= hand.found
         frame = sequence.frames[number]
         if not frame.tracked:
             break
@@ -157,7 +157,7 @@ def _again(
     fitter: FrameFitter, sequence: TrackedSequence, tracked: Float[np.ndarray, "K 3"], number: int,
     hand: _FoundHand, fingers: Float[np.ndarray, "J 3"],
 ) -> tuple[Float[np.ndarray, "J 3"], Comparison] | None:  # fmt: skip
-    """A frame's fingers, solved for from those of the next, and how what was tracked compares."""
+    """A frame's fingers, solved for from those of its neighbour, and how what was tracked compares."""
     scan = sequence.scan_of(number)
     if scan is None:
         return None

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from corporeal.fitting.options import TrackingOptions
 from corporeal.fitting.pose_terms import is_hand
 from corporeal.geometry.closest_points import ClosestPoints
-from corporeal.geometry.normals import face_areas, face_normals
+from corporeal.geometry.normals import areas_around, face_areas, face_normals
 from corporeal.model.statistics import PoseBlock
 from corporeal.model.surface_model import SurfaceModel
 from corporeal.scans.scan import Scan
@@ -137,8 +137,7 @@ class PointShares:
         """Those of hands weigh what the options say; others 1, or as finely as the mesh is made there."""
         fineness = np.ones(len(model.faces))
         if options.weigh_by_fineness:
-            corners = np.repeat(face_areas(model.template, model.faces) / 3, 3)
-            areas = np.bincount(model.faces.ravel(), corners, model.vertex_count)
+            areas = areas_around(model.template, model.faces)
             per_vertex = areas.mean() / np.maximum(areas, np.finfo(float).tiny)
             finest = max(options.hand_weight, _COARSEST)
             fineness = np.clip(per_vertex[model.faces].mean(axis=1), _COARSEST, finest)

@@ -111,10 +111,10 @@ class TrackingOptions:
         predict: True starts a frame where the body's motion leads, False at the last frame as the paper does.
         samples: points drawn on a scan.
         body_points: of those, how many are fitted to; on the hands, and where the mesh is fine, all are.
-        hand_weight: weight of a point on a hand; the body's are 1, or:
-        weigh_by_fineness: points weigh more where the model's mesh is finer than its mean, up to
-            ``hand_weight``: toes are a tenth of a body's vertices and a hundredth of its skin, and lay 4 mm
-            back.
+        hand_weight: weight of a point on a hand.
+        weigh_by_fineness: others weigh more where the model's mesh is finer than its mean, up to
+            ``hand_weight``, in place of 1: toes are a tenth of a body's vertices and a hundredth of its skin,
+            and lay 4 mm back.
         hand_back: weight of distances back from hands to the scan, as a share of the data's.
         minimum_cosine: pairs whose normals disagree more are not matched.
         template_frames: of the first stage, at most.

@@ -23,6 +23,13 @@ def face_areas(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
     return 0.5 * _length(face_vectors(vertices, faces))
 
 
+def areas_around(
+    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
+) -> Float[np.ndarray, " V"]:
+    """Of all faces at every vertex together, in the square of the vertices' unit: thrice its own share."""
+    return np.bincount(faces.ravel(), np.repeat(face_areas(vertices, faces), 3), minlength=len(vertices))
+
+
 def face_normals(
     vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
 ) -> Float[np.ndarray, "F 3"]:

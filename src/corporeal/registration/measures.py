@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from corporeal.geometry.closest_points import ClosestPoints
-from corporeal.geometry.normals import face_areas, face_normals, vertex_normals
+from corporeal.geometry.normals import areas_around, face_normals, vertex_normals
 from corporeal.model.jacobian import Evaluated
 from corporeal.model.surface_model import CutPlane
 from corporeal.terms.scan_to_surface import MovingSurface
@@ -123,7 +123,7 @@ def surface_coverage(
 ) -> SurfaceCoverage:
     """Which part of a mesh (metres) the scan confirms, which it contradicts, and of which it says nothing."""
     closest = scan.tree.closest(vertices)
-    areas = np.bincount(faces.ravel(), np.repeat(face_areas(vertices, faces), 3), minlength=len(vertices))
+    areas = areas_around(vertices, faces)
     cosines = np.einsum("va,va->v", vertex_normals(vertices, faces), scan.normals[closest.faces])
     away = closest.distances > _FAR
     seen = ~_at_rim(scan)[closest.faces] & (cosines > _SAME_SKIN)

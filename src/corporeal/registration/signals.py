@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from corporeal.geometry.normals import face_areas
+from corporeal.geometry.normals import areas_around
 from corporeal.geometry.topology import unique_edges
 from corporeal.registration.measures import SurfaceDistances, mean_offsets, surface_coverage
 from corporeal.registration.priors import prior_terms
@@ -68,7 +68,7 @@ def _misfit(fitter: Fitter, vertices: np.ndarray, distances: SurfaceDistances) -
     """The scan's mean offset around a vertex, over the area of the vertices that have points."""
     faces = fitter.model.faces
     offsets, counts = mean_offsets(distances, fitter.target.scan.points, faces, len(vertices))
-    areas = np.bincount(faces.ravel(), np.repeat(face_areas(vertices, faces), 3), minlength=len(vertices))
+    areas = areas_around(vertices, faces)
     areas[counts < _FEWEST_POINTS] = 0
     if not areas.any():
         return {}
