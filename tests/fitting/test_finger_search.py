@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from corporeal.fitting.finger_search import FingerSearch
 from corporeal.fitting.frame_data import FramePoints, HandFaces
@@ -182,3 +183,20 @@ def test_a_hand_that_is_back_turned_about_its_forearm_is_righted(body, search):
     alone = open_model("hand")
     faces = HandFaces.of_model(alone).masks["hand"]
     assert FingerSearch.of_block(alone, alone.block("hand"), faces).forearm is None
+
+
+def test_what_the_rest_of_the_body_explains_is_no_reason_to_lay_a_hand_there(body, search):
+    """A hand folded over its forearm lies in what bulges 16 mm out of that; a few points are the hand's."""
+    fields, true = ModelFields(body, shape_count=0), np.zeros((body.joint_count, 3))
+    folded = true.copy()
+    folded[search.wrist] = np.deg2rad(150) * np.array([0.0, 1.0, 0.0])
+    straight, wrong = (fields.evaluated(_vector(body, pose)).vertices for pose in (true, folded))
+    away, _ = cKDTree(straight[~search.hand]).query(wrong[search.hand])
+    bulge = wrong[search.hand][(away > 0.0155) & (away < 0.018)]
+    points = np.concatenate([bulge, straight[search.hand][:: len(wrong) // len(bulge)]])
+    # Either hand lies in the scan, so that points alone decide.
+    vertices = np.concatenate([straight, wrong])
+    faces = np.concatenate([body.faces, body.faces + len(straight)])
+    scan = ScanSurface(SurfaceTree(vertices, faces), face_normals(vertices, faces), open_sides(faces))
+    assert len(bulge) > 50
+    assert search.compared(straight, wrong, points, scan).for_ones > 0

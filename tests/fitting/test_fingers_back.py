@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from corporeal.fitting import finger_search
+from corporeal.fitting import fingers_back as fingers_back_module
 from corporeal.fitting.files import FrameRecord, frame_path, write_frame
 from corporeal.fitting.fingers_back import TrackedSequence, fingers_back
 from corporeal.fitting.found_fingers import FINGERS, found_fingers
@@ -120,6 +121,24 @@ def test_out_of_sight_they_go_on_unchanged(body, fist, sequence):
     assert sorted(found) == list(range(FOUND))
     for pose in found.values():
         np.testing.assert_array_equal(pose, np.zeros_like(fist))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wrong", [True, False], ids=["tracked wrongly before", "another pose before"])
+def test_a_hand_that_is_back_tells_how_it_was_before(body, fist, sequence, monkeypatch, wrong):
+    """Tracked as a fist until it was out of sight, as a straight hand thereafter; fingers leap nowhere."""
+    monkeypatch.setattr(fingers_back_module, "_LEAP", np.inf)
+    hidden = SeenPose(fist, SEEN | {"right_hand_seen": 0.0}, True)
+    frames = [hidden if number == FOUND - 1 else frame for number, frame in enumerate(sequence.frames)]
+    before, after = (_scan(body, pose) for pose in (np.zeros_like(fist) if wrong else fist, 0 * fist))
+    given = dataclasses.replace(
+        sequence, frames=frames, scan_of=lambda number: before if number < FOUND else after
+    )
+    found = fingers_back(FrameFitter(body, OPTIONS), given)
+    assert sorted(found) == (list(range(FOUND)) if wrong else [])
+    joints = list(body.block("right_hand").joints)
+    for pose in found.values():
+        assert np.rad2deg(np.linalg.norm(pose[joints], axis=1)).max() < 10
 
 
 @pytest.mark.slow

@@ -38,14 +38,13 @@ def sampled(body, scan):
 
 
 def _chosen(body, sampled, options):
-    """Points, weights and faces of those that are fitted to."""
+    """Weights and faces of the points that are fitted to, and which faces are hands'."""
     points, closest = sampled
     hands = HandFaces.of_model(body).any_hand(len(body.faces))
     shares = PointShares.of_model(body, hands, options)
     own = np.ones(len(points.positions))
-    chosen, weights = chosen_points(points, closest, shares, own, options)
-    faces = SurfaceTree(body.template, body.faces).closest(chosen.positions).faces
-    return weights, faces, hands
+    kept, weights = chosen_points(closest, shares, own, options)
+    return weights, closest.faces[kept], hands
 
 
 def _per_vertex(body, sampled, options):

@@ -172,12 +172,27 @@ def test_flat_hands_stay_flat_and_components_span_few_directions(sequence):
 
 def test_unposing_inverts_posing(sequence, rng):
     model, *_ = sequence
-    pose = 0.4 * rng.standard_normal((model.joint_count, 3))
+    pose = 0.3 * rng.standard_normal((model.joint_count, 3))
     shape, place = rng.standard_normal(4), rng.standard_normal(3)
-    posed = evaluate(model, shape, pose, place).vertices
+    # Another skin about the same joints.
+    own = 3e-3 * rng.standard_normal(model.template.shape)
+    regressor = model.joint_regressor.toarray()
+    own -= np.linalg.pinv(regressor) @ (regressor @ own)
+    posed = evaluate(dataclasses.replace(model, template=model.template + own), shape, pose, place).vertices
     template = unposed(model, posed, ModelParameters(place, pose, shape))
-    shaped = model.template + model.shape_directions[:, :, :4] @ shape
+    shaped = model.template + own + model.shape_directions[:, :, :4] @ shape
     np.testing.assert_allclose(template, shaped, atol=1e-9)
+
+
+def test_unposing_does_not_enlarge_what_is_off_in_folded_skin(sequence, rng):
+    model, *_ = sequence
+    pose = np.zeros((model.joint_count, 3))
+    pose[next(joint for joint, parent in enumerate(model.parents) if joint and parent), 1] = np.deg2rad(170)
+    parameters = ModelParameters(np.zeros(3), pose, np.zeros(0))
+    posed = evaluate(model, parameters.shape, pose, parameters.translation).vertices
+    off = 3e-3 * rng.standard_normal(posed.shape)
+    found = np.linalg.norm(unposed(model, posed + off, parameters) - model.template, axis=1)
+    assert (found <= 1.5 * np.linalg.norm(off, axis=1)).all()
 
 
 def test_template_of_a_person(sequence):

@@ -256,11 +256,18 @@ class FingerSearch:
         self, ones: Float[np.ndarray, "V 3"], others: Float[np.ndarray, "V 3"],
         points: Float[np.ndarray, "n 3"], scan: ScanSurface | None,
     ) -> Comparison:  # fmt: skip
-        """Which of two posed surfaces explains the hand's points better."""
+        """Which of two posed surfaces explains the hand's points better.
+
+        What the rest of the body explains well enough costs neither: a thumb that had been drawn out to a
+        thigh, which lay a centimetre off its model, was better there than the true one.
+        """
         own = np.unique(np.concatenate([self._own(ones, points), self._own(others, points)]), axis=0)
         if scan is None or not len(own):
             return Comparison(0.0, False)
-        one, other = (self.cost(vertices, own, scan) + _NOWHERE for vertices in (ones, others))
+        one, other = (
+            self.cost(vertices, own, scan, self._beyond_rest(vertices, own)) + _NOWHERE
+            for vertices in (ones, others)
+        )
         enough = len(own) >= _FEWEST * len(points) and self._within(others) <= _DEEP**2
         return Comparison(float(np.log(other / one)), enough and one < _WORTH * other)
 
@@ -293,19 +300,32 @@ class FingerSearch:
         to_hand, to_others = (cKDTree(part).query(about)[0] for part in (vertices[self.hand], others))
         return about[to_others > np.maximum(to_hand, _ELSEWHERE)]
 
+    def _beyond_rest(
+        self, vertices: Float[np.ndarray, "V 3"], points: Float[np.ndarray, "n 3"]
+    ) -> Float[np.ndarray, " n"]:
+        """How much farther points lie from the rest of the body than its own skin may, metres."""
+        others = vertices[~self.hand]
+        if not len(others):
+            return np.full(len(points), _FARTHEST)
+        away, _ = cKDTree(others).query(points)
+        return np.maximum(away - _ELSEWHERE, 0)
+
     def cost(
-        self, vertices: Float[np.ndarray, "V 3"], points: Float[np.ndarray, "n 3"], scan: ScanSurface
-    ) -> float:
+        self, vertices: Float[np.ndarray, "V 3"], points: Float[np.ndarray, "n 3"], scan: ScanSurface,
+        most: Float[np.ndarray, " n"] | float = _FARTHEST,
+    ) -> float:  # fmt: skip
         """Mean square distances of points to the hand, and of what of it is outside of the scan; overlaps.
 
-        Those are of fingers with each other, and of the hand with the rest of the body.
+        Those are of fingers with each other, and of the hand with the rest of the body. No point costs more
+        than ``most``, metres.
         """
         hand = vertices[self.hand]
         away, _ = cKDTree(hand).query(points, distance_upper_bound=_FARTHEST)
+        away = np.minimum(np.minimum(away, _FARTHEST), most)
         closest = scan.tree.closest(hand)
         outside = np.einsum("va,va->v", hand - closest.points, scan.normals[closest.faces]) > 0
         out = np.where(outside, np.minimum(closest.distances, _FARTHEST), 0.0)
-        square = np.square(np.minimum(away, _FARTHEST)).mean() + np.square(out).mean()
+        square = np.square(away).mean() + np.square(out).mean()
         return float(square + _WITHIN * self._within(vertices) + _OVERLAP * self._overlap(vertices))
 
     def _within(self, vertices: Float[np.ndarray, "V 3"]) -> float:

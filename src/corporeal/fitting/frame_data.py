@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from corporeal.fitting.options import TrackingOptions
 from corporeal.fitting.pose_terms import is_hand
@@ -22,9 +22,8 @@ from corporeal.terms.surface_to_scan import ScanSurface
 # A sample this near, on skin that faces the same way, confirms the surface beside it.
 _BESIDE = 0.02
 _SAME_SKIN = 0.3
-# Points on a mesh no finer than its mean weigh 1: with 0.3 for the coarsest an arm that came back elsewhere
-# was found three frames later. Where they weigh more than the second number, all are taken.
-_COARSEST, _IN_DETAIL = 1.0, 4.0
+# Where the mesh is finer than its mean by this, all points are taken.
+_IN_DETAIL = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +39,11 @@ class FramePoints:
     positions: Float[np.ndarray, "n 3"]
     normals: Float[np.ndarray, "n 3"] | None
     area_per_point: float | None
+
+    def some(self, which: Int[np.ndarray, " m"]) -> FramePoints:
+        """Those of the given numbers."""
+        normals = None if self.normals is None else self.normals[which]
+        return FramePoints(self.positions[which], normals, self.area_per_point)
 
 
 def frame_points(scan: Scan, options: TrackingOptions) -> FramePoints:
@@ -139,16 +143,17 @@ class PointShares:
         if options.weigh_by_fineness:
             areas = areas_around(model.template, model.faces)
             per_vertex = areas.mean() / np.maximum(areas, np.finfo(float).tiny)
-            finest = max(options.hand_weight, _COARSEST)
-            fineness = np.clip(per_vertex[model.faces].mean(axis=1), _COARSEST, finest)
+            least = options.coarse_weight
+            most = max(options.hand_weight, least)
+            fineness = np.clip(per_vertex[model.faces].mean(axis=1), least, most)
         return cls(np.where(hands, options.hand_weight, fineness), hands | (fineness > _IN_DETAIL))
 
 
 def chosen_points(
-    points: FramePoints, closest: ClosestPoints, shares: PointShares,
+    closest: ClosestPoints, shares: PointShares,
     own: Float[np.ndarray, " n"], options: TrackingOptions,
-) -> tuple[FramePoints, Float[np.ndarray, " m"]]:  # fmt: skip
-    """All points on the parts in detail and some of the others, with weights.
+) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, " m"]]:  # fmt: skip
+    """Which points are fitted to, all on the parts in detail and some of the others, with weights.
 
     The others weigh more where they are fewer than could be taken, so that parts stay in proportion; those
     on hands less, as ``own`` says, where they may be another part's.
@@ -159,8 +164,7 @@ def chosen_points(
     each = len(others) / max(len(picked), 1) * options.body_points / options.samples
     kept = np.concatenate([picked, np.flatnonzero(in_detail)])
     weights = (shares.weights[closest.faces] * own * np.where(in_detail, 1.0, each))[kept]
-    normals = None if points.normals is None else points.normals[kept]
-    return FramePoints(points.positions[kept], normals, points.area_per_point), weights
+    return kept, weights
 
 
 def confirmed(

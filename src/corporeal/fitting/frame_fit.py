@@ -314,10 +314,11 @@ class FrameFitter:
         vertices = self.fields.evaluated(vector).vertices
         closest = self.surface.closest(vertices, points.positions, None)
         own = self._own_shares(points, closest, vertices)
-        near, shares = chosen_points(points, closest, self._point_shares, own, options)
-        terms: list[Term] = [
-            ScanToSurface("scan", MODEL, self.surface, near.positions, shares, near.normals, distance)
-        ]
+        kept, shares = chosen_points(closest, self._point_shares, own, options)
+        near = points.some(kept)
+        data = ScanToSurface("scan", MODEL, self.surface, near.positions, shares, near.normals, distance)
+        data.nearest = closest.faces[kept]
+        terms: list[Term] = [data]
         unseen = [] if start.previous is None else self._unseen(points, closest, vertices)
         if start.back is not None and (start.first or step.robust_scale <= _BACK_WITHIN):
             # Of all points, as if those on hands weighed no more than others.

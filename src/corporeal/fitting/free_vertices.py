@@ -59,9 +59,11 @@ def coupled_vertices(
     sigma = float(1 / np.sqrt(_ANNEALING * options.weights.data))
     cosine = -1.0 if points.normals is None else options.minimum_cosine
     closest = surface.closest(model_vertices, points.positions, None)
-    shares = np.where(held[closest.faces], 0.0, 1.0)
+    followed = np.flatnonzero(~held[closest.faces])
+    own, shares = points.some(followed), np.ones(len(followed))
     distance = DistanceOptions(sigma, stage.robust_scale, 1.0, cosine)
-    data = ScanToSurface("scan", FREE, surface, points.positions, shares, points.normals, distance)
+    data = ScanToSurface("scan", FREE, surface, own.positions, shares, own.normals, distance)
+    data.nearest = closest.faces[followed]
     vertices = model_vertices.copy()
     for _ in range(stage.passes):
         fields = {FREE: vertices, MODEL: model_vertices}

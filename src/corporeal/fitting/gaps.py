@@ -98,6 +98,14 @@ def bridged(model: SurfaceModel, frames: Sequence[SeenPose], fps: float) -> list
     ]
 
 
+def gaps_of_hand(frames: Sequence[SeenPose], hand: str) -> list[tuple[int, int]]:
+    """First frame of every gap in which a hand, say "left_hand", was out of sight, and the first after it.
+
+    A gap that is open at an end of the sequence, or longer than 60 frames, is none.
+    """
+    return _gaps(_shares(frames, hand), NOT_SEEN)
+
+
 def _shares(frames: Sequence[SeenPose], part: str) -> Float[np.ndarray, " N"]:
     """A frame that failed tells nothing: it neither begins a gap nor ends one."""
     return np.array([frame.signals[f"{part}_seen"] if frame.tracked else HARDLY_SEEN for frame in frames])
@@ -130,7 +138,7 @@ def _bridge_arm(
     wrist, elbow, shoulder = above[:3]
     hand = _shares(frames, block.name)
     forearm = np.maximum(hand, _shares(frames, forearm_of(block.name)))
-    of_hand, of_forearm = _gaps(hand, NOT_SEEN), _gaps(forearm, _FOREARM_NOT_SEEN)
+    of_hand, of_forearm = gaps_of_hand(frames, block.name), _gaps(forearm, _FOREARM_NOT_SEEN)
     if not of_hand and not of_forearm:
         return []
     bone = _bone(model, shoulder, elbow)

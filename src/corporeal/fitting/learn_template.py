@@ -60,7 +60,10 @@ def learn_subject_template(
     plain = model.replace(expression_directions=np.zeros((model.vertex_count, 3, 0)))
     # Six components do not reach every fist, and what the pose cannot say the template would.
     hands: HandPose = "flat" if options.hands == "flat" else "full"
-    options = replace(options, hands=hands, shape_count=min(options.shape_count, plain.shape_count))
+    options = replace(
+        options, hands=hands, shape_count=min(options.shape_count, plain.shape_count),
+        coarse_weight=options.template_coarse_weight,
+    )  # fmt: skip
     fitter = FrameFitter(plain, options, shape_count=options.shape_count)
     rejected: dict[str, str] = {}
     usable = _usable(islice(frames, options.template_frames), options, rejected)

@@ -73,7 +73,7 @@ def centre_box(centres, order, begin, end):
 
 @njit(cache=True, error_model="numpy")
 def cheapest_cut(bin_count, bin_box, right_cost):
-    """Last bin of the first part and the cost by the surface-area heuristic; -1 if nothing can be cut."""
+    """Last bin of the first part by the surface-area heuristic; -1 if nothing can be cut."""
     box = np.empty(6)
     empty_box(box)
     total = 0
@@ -90,39 +90,37 @@ def cheapest_cut(bin_count, bin_box, right_cost):
         cost = here * half_area(box) + right_cost[b + 1]
         if 0 < here < total and cost < best_cost:
             best, best_cost = b, cost
-    return best, best_cost
+    return best
 
 
 @njit(cache=True, error_model="numpy")
 def split(limits, centres, order, begin, end):
-    """Partition order[begin:end] in two by the binned surface-area heuristic; the second's begin."""
+    """Partition order[begin:end] in two by the binned surface-area heuristic; the second's begin.
+
+    Across the longest axis alone: the cheapest cut of all three took three passes over the triangles.
+    """
     extent = centre_box(centres, order, begin, end)
-    bin_count = np.empty(BINS, np.int64)
+    axis = np.argmax(extent[3:] - extent[:3])
+    halves = begin + (end - begin) // 2
+    if not extent[3 + axis] > extent[axis]:
+        return halves  # all centres coincide
+    scale = BINS / (extent[3 + axis] - extent[axis])
+    bin_count = np.zeros(BINS, np.int64)
     bin_box = np.empty((BINS, 6))
-    right_cost = np.empty(BINS)
-    best_axis, best_bin, best_cost = -1, 0, np.inf
-    for axis in range(3):
-        if not extent[3 + axis] > extent[axis]:
-            continue
-        scale = BINS / (extent[3 + axis] - extent[axis])
-        bin_count[:] = 0
-        for b in range(BINS):
-            empty_box(bin_box[b])
-        for i in range(begin, end):
-            t = order[i]
-            b = min(int((centres[t, axis] - extent[axis]) * scale), BINS - 1)
-            bin_count[b] += 1
-            grow(bin_box[b], limits[t])
-        cut, cost = cheapest_cut(bin_count, bin_box, right_cost)
-        if cut >= 0 and cost < best_cost:
-            best_axis, best_bin, best_cost = axis, cut, cost
-    if best_axis < 0:
-        return begin + (end - begin) // 2  # all centres coincide: any halves will do
-    scale = BINS / (extent[3 + best_axis] - extent[best_axis])
+    for b in range(BINS):
+        empty_box(bin_box[b])
+    for i in range(begin, end):
+        t = order[i]
+        b = min(int((centres[t, axis] - extent[axis]) * scale), BINS - 1)
+        bin_count[b] += 1
+        grow(bin_box[b], limits[t])
+    cut = cheapest_cut(bin_count, bin_box, np.empty(BINS))
+    if cut < 0:
+        return halves
     left, right = begin, end - 1
     while left <= right:
-        b = min(int((centres[order[left], best_axis] - extent[best_axis]) * scale), BINS - 1)
-        if b <= best_bin:
+        b = min(int((centres[order[left], axis] - extent[axis]) * scale), BINS - 1)
+        if b <= cut:
             left += 1
         else:
             order[left], order[right] = order[right], order[left]

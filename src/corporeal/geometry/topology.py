@@ -98,7 +98,11 @@ def connected_components(faces: Int[np.ndarray, "F 3"], vertex_count: int) -> In
     Parts that touch in a vertex are one component. A vertex without a face is a component of its own. The
     label of a face is that of any of its vertices.
     """
-    count, labels = csgraph.connected_components(vertex_adjacency(faces, vertex_count), directed=False)
+    # Two sides of a face connect its corners; to find every edge once takes over twice as long.
+    ones = np.ones(2 * len(faces), dtype=np.int32)
+    sides = (faces[:, :2].ravel(), faces[:, 1:].ravel())
+    linked = sp.csr_matrix((ones, sides), shape=(vertex_count, vertex_count))
+    count, labels = csgraph.connected_components(linked, directed=False)
     sizes = np.bincount(labels[faces[:, 0]], minlength=count)
     rank = np.empty(count, dtype=np.int64)
     rank[np.argsort(-sizes, kind="stable")] = np.arange(count)

@@ -26,6 +26,7 @@ class MovingSurface:
         self.pattern = MeshPattern(self.faces, len(vertices))
         self.boundary = boundary_edges(self.faces)
         self._on_boundary = open_sides(self.faces)
+        self._asked: tuple[np.ndarray, np.ndarray] | None = None
 
     @cached_property
     def edges(self) -> Int[np.ndarray, "E 2"]:
@@ -35,9 +36,20 @@ class MovingSurface:
     def closest(
         self, vertices: Float[np.ndarray, "V 3"], points: Float[np.ndarray, "n 3"], start: np.ndarray | None
     ) -> ClosestPoints:
-        """Closest points with the surface moved to ``vertices``."""
+        """Closest points with the surface moved to ``vertices``.
+
+        The search starts at the faces ``start``. Without them it starts, where it is asked for the very same
+        array of points again, where it ended: the answer is the same, and a frame's points are asked for at
+        a dozen surfaces.
+        """
         self.tree.refit(vertices)
-        return self.tree.closest(points, start)
+        if start is not None:
+            return self.tree.closest(points, start)
+        if self._asked is not None and self._asked[0] is points:
+            start = self._asked[1]
+        closest = self.tree.closest(points, start)
+        self._asked = points, closest.faces
+        return closest
 
     def at_boundary(self, closest: ClosestPoints) -> Bool[np.ndarray, " n"]:
         """Which closest points lie on the open boundary: the point's own surface ended there."""
@@ -56,6 +68,7 @@ class ScanToSurface:
         weights: (n,) base weights; their sum is the number of independent observations they stand for.
         normals: (n, 3) unit normals of the points, or None to match whatever is closest.
         options: sigma, robust scale, curvature.
+        nearest: (n,) faces at which the next search starts: those found last, or at first what is known.
     """
 
     name: str
@@ -65,13 +78,13 @@ class ScanToSurface:
     weights: Float[np.ndarray, " n"]
     normals: Float[np.ndarray, "n 3"] | None
     options: DistanceOptions
-    _last_faces: np.ndarray | None = None
+    nearest: Int[np.ndarray, " n"] | None = None
 
     def at(self, fields: Fields) -> ScanToSurfaceValue:
         """Find closest points; the faces found start the next search."""
         vertices = fields[self.field]
-        closest = self.surface.closest(vertices, self.points, self._last_faces)
-        self._last_faces = closest.faces
+        closest = self.surface.closest(vertices, self.points, self.nearest)
+        self.nearest = closest.faces
         unit = face_normals(vertices, self.surface.faces)[closest.faces]
         matched = ~self.surface.at_boundary(closest)
         if self.normals is not None:
