@@ -126,10 +126,12 @@ def test_out_of_sight_they_go_on_unchanged(body, fist, sequence):
 @pytest.mark.slow
 @pytest.mark.parametrize("wrong", [True, False], ids=["tracked wrongly before", "another pose before"])
 def test_a_hand_that_is_back_tells_how_it_was_before(body, fist, sequence, monkeypatch, wrong):
-    """Tracked as a fist until it was out of sight, as a straight hand thereafter; fingers leap nowhere."""
+    """A fist until it was out of sight, tracked as a straight hand once it has settled; no finger leaps."""
     monkeypatch.setattr(fingers_back_module, "_LEAP", np.inf)
-    hidden = SeenPose(fist, SEEN | {"right_hand_seen": 0.0}, True)
-    frames = [hidden if number == FOUND - 1 else frame for number, frame in enumerate(sequence.frames)]
+    monkeypatch.setattr(fingers_back_module, "SETTLING", 1)
+    frames = list(sequence.frames)
+    frames[FOUND - 1] = SeenPose(fist, SEEN | {"right_hand_seen": 0.0}, True)
+    frames[FOUND] = SeenPose(fist, SEEN, True) if wrong else frames[FOUND]
     before, after = (_scan(body, pose) for pose in (np.zeros_like(fist) if wrong else fist, 0 * fist))
     given = dataclasses.replace(
         sequence, frames=frames, scan_of=lambda number: before if number < FOUND else after

@@ -15,6 +15,9 @@ from corporeal.terms.hinges import Hinges
 
 # A part of which no more than this share is confirmed by scan may be missing; of a fist a quarter is.
 HARDLY_SEEN = 0.15
+# Frames after its return in which an arm still finds its place: fingers sought before that were those of a
+# hand turned about itself, and held it there.
+SETTLING = 10
 # A forearm of which more is seen is there, though its hand is not, and moves as the scan says: held like the
 # hand, it made the upper arm turn for it. With 0.3 an arm that comes back elsewhere may count as seen where
 # it crosses the place in which it was held, and is not looked for.

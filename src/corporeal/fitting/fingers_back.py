@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from corporeal.fitting.arms import HARDLY_SEEN
+from corporeal.fitting.arms import HARDLY_SEEN, SETTLING
 from corporeal.fitting.finger_search import Comparison
 from corporeal.fitting.frame_data import frame_points
 from corporeal.fitting.frame_fit import FrameFitter, FrameStart, scan_surface
@@ -101,7 +101,8 @@ def fingers_back(
             leapt = found in leaps
             if leapt and not len(_leaps(poses[found - 1 : found + 1, joints])):
                 continue  # gone back over already
-            hand = _FoundHand(block.name, joints, found, _best_seen(frames, block.name, found), leapt)
+            best = _best_seen(frames, block.name, found, 0 if leapt else SETTLING)
+            hand = _FoundHand(block.name, joints, found, best, leapt)
             if not _followed(again, poses, hand, hand.best, hand.back):
                 _followed(again, poses, hand, found - 1, range(found, len(frames)))
     changed = np.flatnonzero((poses != tracked).any(axis=(1, 2)))
@@ -119,14 +120,17 @@ def _apart(ones: Float[np.ndarray, "N J 3"], others: Float[np.ndarray, "N J 3"])
     return between.magnitude().reshape(ones.shape[:-1]).max(axis=-1)
 
 
-def _best_seen(frames: Sequence[SeenPose], hand: str, found: int) -> int:
-    """The frame after a hand was found that shows most of it, before it is out of sight again."""
+def _best_seen(frames: Sequence[SeenPose], hand: str, found: int, settling: int) -> int:
+    """The frame after a hand was found, and has settled, that shows most of it before it is out of sight."""
     best, most = found, 0.0
-    for number in range(found, min(found + _SETTLED, len(frames))):
+    for number in range(found, min(found + settling + _SETTLED, len(frames))):
         share = _seen(frames[number], hand)
         if share <= NOT_SEEN:
             break
-        best, most = (number, share) if share > most else (best, most)
+        if number < found + settling:
+            best = number
+        elif share > most:
+            best, most = number, share
     return best
 
 

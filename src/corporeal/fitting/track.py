@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from corporeal.fitting.arms import SETTLING
 from corporeal.fitting.frame_data import FramePoints, frame_points
 from corporeal.fitting.frame_fit import FrameFitter, FrameMeasures, FrameStart, HandsAsked, scan_surface
 from corporeal.fitting.options import TrackingBounds, TrackingOptions
@@ -111,11 +112,6 @@ class TrackedFrame:
     offsets: Float[np.ndarray, "V 3"] | None = None
 
 
-# Frames after its return in which an arm still finds its place: fingers sought before that were those of a
-# hand turned about itself, and held it there.
-_SETTLING = 10
-
-
 class Tracker:
     """Follows one subject; memory does not grow with the number of frames."""
 
@@ -198,10 +194,10 @@ class Tracker:
         if measures is None:
             return vector, measures, state.settling
         unseen = self.fitter.unseen_hands(measures)
-        settling = np.where(unseen, _SETTLING, np.maximum(state.settling - 1, 0))
+        settling = np.where(unseen, SETTLING, np.maximum(state.settling - 1, 0))
         # Begun anew in the first frame, and once a hand that was out of sight has settled.
         anew = (settling == 0) & ((state.settling > 0) | (not state.fitted))
-        returned = (state.settling == _SETTLING) & ~unseen
+        returned = (state.settling == SETTLING) & ~unseen
         asked = HandsAsked(settling == 0, anew, returned, state.pose)
         found = self.fitter.with_fingers(points, vector, start, asked)
         if found is not vector:
