@@ -26,7 +26,7 @@ from corporeal.scans.scan import Scan
 # Radians to the next frame: recorded fingers turn by 6 degrees, found ones by more than this.
 _LEAP = np.deg2rad(15.0)
 # Within so many frames after it was found, a hand is taken where most of it is seen.
-_SETTLED = 30
+_SOON = 30
 # Radians: nearer to what was tracked, fingers are the same.
 _SAME = np.deg2rad(5.0)
 
@@ -123,7 +123,7 @@ def _apart(ones: Float[np.ndarray, "N J 3"], others: Float[np.ndarray, "N J 3"])
 def _best_seen(frames: Sequence[SeenPose], hand: str, found: int, settling: int) -> int:
     """The frame after a hand was found, and has settled, that shows most of it before it is out of sight."""
     best, most = found, 0.0
-    for number in range(found, min(found + settling + _SETTLED, len(frames))):
+    for number in range(found, min(found + settling + _SOON, len(frames))):
         share = _seen(frames[number], hand)
         if share <= NOT_SEEN:
             break

@@ -316,9 +316,12 @@ class FrameFitter:
         own = self._own_shares(points, closest, vertices)
         kept, shares = chosen_points(closest, self._point_shares, own, options)
         near = points.some(kept)
-        data = ScanToSurface("scan", MODEL, self.surface, near.positions, shares, near.normals, distance)
-        data.nearest = closest.faces[kept]
-        terms: list[Term] = [data]
+        terms: list[Term] = [
+            ScanToSurface(
+                "scan", MODEL, self.surface, near.positions, shares, near.normals, distance,
+                closest.faces[kept],
+            )
+        ]  # fmt: skip
         unseen = [] if start.previous is None else self._unseen(points, closest, vertices)
         if start.back is not None and (start.first or step.robust_scale <= _BACK_WITHIN):
             # Of all points, as if those on hands weighed no more than others.

@@ -62,8 +62,9 @@ def coupled_vertices(
     followed = np.flatnonzero(~held[closest.faces])
     own, shares = points.some(followed), np.ones(len(followed))
     distance = DistanceOptions(sigma, stage.robust_scale, 1.0, cosine)
-    data = ScanToSurface("scan", FREE, surface, own.positions, shares, own.normals, distance)
-    data.nearest = closest.faces[followed]
+    data = ScanToSurface(
+        "scan", FREE, surface, own.positions, shares, own.normals, distance, closest.faces[followed]
+    )
     vertices = model_vertices.copy()
     for _ in range(stage.passes):
         fields = {FREE: vertices, MODEL: model_vertices}
